@@ -1,0 +1,57 @@
+# make train                          learn Push on the simulated robot
+# make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
+# make test                           the test suite; ARGS="-k name" selects
+# make check                          format, lint, types, floors
+# make clean                          remove the environment, builds and caches; never runs/
+
+TASK ?= push
+ARGS ?=
+# The first Python on the path that fits; PYTHON=/path/to/python overrides.
+FITS := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))
+PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
+	"$$p" -c '$(FITS)' 2>/dev/null && { echo "$$p"; exit; }; done; echo python3)
+
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check -q
+INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
+
+.PHONY: train test check format clean
+
+train: .venv/runtime
+	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
+
+# One thread a worker: two workers whose torch also takes both cores slow each other down.
+test: .venv/dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 $(ARGS)
+
+check: .venv/dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/dev
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+.venv/base: constraints.txt
+	@$(PYTHON) -c '$(FITS)' 2>/dev/null || { \
+		echo "iher-robot needs Python 3.11 or 3.12, and $(PYTHON) is" \
+			"$$($(PYTHON) --version 2>&1 || true);" \
+			"install one of them and say: make PYTHON=/path/to/python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(PIP) install $$(grep -E '^(pip|setuptools|wheel|packaging)==' constraints.txt)
+	@touch $@
+
+.venv/runtime: .venv/base pyproject.toml
+	@echo "Installing into .venv; the first time this downloads torch and MuJoCo, 1 GB or more."
+	$(INSTALL) -e .
+	@touch $@
+
+.venv/dev: .venv/runtime
+	$(INSTALL) -e '.[dev,bench,video]'
+	@touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +
