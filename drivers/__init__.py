@@ -1,0 +1,74 @@
+"""What moves: robots, simulated or remote, and their safety."""
+
+from __future__ import annotations
+
+from drivers.clock import Clock, MonotonicClock, SimulatedClock
+from drivers.command import (
+    Acceptance,
+    Command,
+    EndEffectorCommand,
+    JointCommand,
+    Refusal,
+    ResetOutcome,
+    ResetRequest,
+    ResetResult,
+)
+from drivers.driver import EMERGENCY_STOP, RobotDriver
+from drivers.errors import (
+    DriverError,
+    FaultLatched,
+    HandsNotClear,
+    InvalidCommand,
+    InvalidRequest,
+    InvalidSpec,
+    LifecycleError,
+    StaleState,
+    UnknownDriver,
+)
+from drivers.gate import Fault
+from drivers.limits import Box, GripperLimits, JointLimits, Limits
+from drivers.registry import driver_targets, make_driver
+from drivers.rendering import Renderable
+from drivers.spec import ActionSpec, Home, ObjectSource, RobotSpec
+from drivers.state import AppliedCommand, Mode, ObjectPose, RobotState
+
+__all__ = [
+    "EMERGENCY_STOP",
+    "Acceptance",
+    "ActionSpec",
+    "AppliedCommand",
+    "Box",
+    "Clock",
+    "Command",
+    "DriverError",
+    "EndEffectorCommand",
+    "Fault",
+    "FaultLatched",
+    "GripperLimits",
+    "HandsNotClear",
+    "Home",
+    "InvalidCommand",
+    "InvalidRequest",
+    "InvalidSpec",
+    "JointCommand",
+    "JointLimits",
+    "LifecycleError",
+    "Limits",
+    "Mode",
+    "MonotonicClock",
+    "ObjectPose",
+    "ObjectSource",
+    "Refusal",
+    "Renderable",
+    "ResetOutcome",
+    "ResetRequest",
+    "ResetResult",
+    "RobotDriver",
+    "RobotSpec",
+    "RobotState",
+    "SimulatedClock",
+    "StaleState",
+    "UnknownDriver",
+    "driver_targets",
+    "make_driver",
+]

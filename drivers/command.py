@@ -1,0 +1,161 @@
+"""What is asked of a robot, and what it answers.
+
+Time never crosses machines in a command: it names the state that it answers by sequence,
+and the robot's side judges that state's age on its own clock.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers.errors import InvalidCommand
+from drivers.spec import RobotSpec
+
+
+def frozen_array(value: ArrayLike) -> NDArray[np.float64]:
+    """Copy into a read-only array of doubles."""
+    array = np.array(value, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def _check(name: str, value: NDArray[np.float64], shape: tuple[int, ...]) -> None:
+    if value.shape != shape:
+        raise InvalidCommand(f"{name} has shape {value.shape}, allowed: {shape}")
+    if not np.isfinite(value).all():
+        raise InvalidCommand(f"{name} is {value.tolist()}, allowed: finite numbers")
+
+
+@dataclass(frozen=True, eq=False)
+class Command(ABC):
+    """A target for one control tick.
+
+    Attributes:
+        answers: Sequence of the state that the sender had seen.
+    """
+
+    kind: ClassVar[str]
+    answers: int
+
+    @abstractmethod
+    def check(self, spec: RobotSpec) -> None:
+        """Refuse shapes and values that the robot can never carry out.
+
+        Raises:
+            InvalidCommand: If a shape is wrong or a value is not finite.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffectorCommand(Command):
+    """Displace the end effector and the fingers, relative to where they are now.
+
+    Attributes:
+        delta_pos: Displacement in the action's frame, m. ``(3,)``
+        finger_delta: Displacement of each finger, m. ``(n_fingers,)``
+    """
+
+    kind: ClassVar[str] = "ee_delta"
+    delta_pos: NDArray[np.float64]
+    finger_delta: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "delta_pos", frozen_array(self.delta_pos))
+        object.__setattr__(self, "finger_delta", frozen_array(self.finger_delta))
+
+    def check(self, spec: RobotSpec) -> None:
+        """Refuse wrong shapes and values that are not finite."""
+        _check("delta_pos", self.delta_pos, (3,))
+        _check("finger_delta", self.finger_delta, (len(spec.finger_names),))
+
+
+@dataclass(frozen=True, eq=False)
+class JointCommand(Command):
+    """Move the joints to a target, interpolated on the robot's side.
+
+    Attributes:
+        q_target: Target positions, rad or m. ``(n_joints,)``
+        dq: Feed-forward velocities at the target. ``(n_joints,)``
+        duration_s: Time to take.
+        finger_target: Finger positions, m. ``(n_fingers,)``
+    """
+
+    kind: ClassVar[str] = "joint"
+    q_target: NDArray[np.float64]
+    dq: NDArray[np.float64]
+    duration_s: float
+    finger_target: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name in ("q_target", "dq", "finger_target"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def check(self, spec: RobotSpec) -> None:
+        """Refuse wrong shapes, values that are not finite and durations that are not positive."""
+        n_joints = (len(spec.joint_names),)
+        _check("q_target", self.q_target, n_joints)
+        _check("dq", self.dq, n_joints)
+        _check("finger_target", self.finger_target, (len(spec.finger_names),))
+        if not 0 < self.duration_s < float("inf"):
+            raise InvalidCommand(f"duration_s is {self.duration_s}, allowed: above 0 and finite")
+
+
+class Refusal(StrEnum):
+    """Why a command was not accepted: things that a correct controller can meet."""
+
+    DISARMED = "disarmed"
+    LATCHED = "latched"
+    EXPIRED = "expired"
+    UNKNOWN_STATE = "unknown_state"
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Whether a command was taken. What was applied arrives in the next state.
+
+    Attributes:
+        refusal: Why it was refused, None if it was accepted.
+        message: The same in words, with values.
+    """
+
+    refusal: Refusal | None = None
+    message: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the command was taken."""
+        return self.refusal is None
+
+
+@dataclass(frozen=True)
+class ResetRequest:
+    """Where things should be when an episode starts. The robot itself goes home.
+
+    Attributes:
+        objects: Position of each object on the table, in the spec's frame, m.
+    """
+
+    objects: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+class ResetOutcome(StrEnum):
+    """How a reset ended."""
+
+    DONE = "done"
+    NEEDS_HUMAN = "needs_human"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class ResetResult:
+    """How a reset ended, and what a person has to know or do."""
+
+    outcome: ResetOutcome
+    message: str = ""

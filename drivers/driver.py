@@ -1,0 +1,338 @@
+"""The contract between a robot and everything above it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Self
+
+from drivers.clock import Clock, MonotonicClock
+from drivers.command import (
+    Acceptance,
+    Command,
+    Refusal,
+    ResetOutcome,
+    ResetRequest,
+    ResetResult,
+)
+from drivers.errors import HandsNotClear, InvalidCommand, LifecycleError, StaleState
+from drivers.gate import CommandGate, Fault
+from drivers.hooks import RobotHooks
+from drivers.spec import RobotSpec
+from drivers.state import Mode, RobotState
+
+log = logging.getLogger(__name__)
+
+EMERGENCY_STOP = "emergency_stop"
+
+
+class RobotDriver(RobotHooks):
+    """A robot, simulated or real. This text is the contract.
+
+    **Description.** `spec` needs no connection. Two digests in it stand for the robot: the
+    interface must match between a policy and a robot, a different body is for a person to
+    accept. The host refuses to serve a physical robot that does not hold on silence.
+
+    **Lifecycle.** ``open -> arm -> (read | command | advance)* -> disarm -> close``; `reset`
+    belongs between `open` and `arm`. A call out of order raises `LifecycleError`. *Held*
+    means powered with zero motion; *disarmed* means that the command gate is closed.
+    Neither ever de-energises a joint. `disarm`, `stop` and `close` are idempotent and may
+    come from any thread. A context manager opens, and always ends held and disarmed, even
+    when its body or a hook raises. Arm per episode, disarm for learning phases.
+
+    **Stop.** `stop` closes the gate at once, without waiting for a tick in progress, holds,
+    and latches: it survives `close` and every attempt to arm. Only `clear_fault`, by the
+    name of the fault, unlatches, and clearing never arms. This is not a safety-rated stop.
+
+    **States.** `read` returns a `RobotState` or raises `StaleState`, for the robot's own
+    measurement and for each object by the age limit of its own sensor. `seq` is the robot's
+    tick counter and never falls. `applied` is the last command really applied.
+
+    **Commands.** `command` hands over a target and returns acceptance only; what was applied
+    arrives in the next state, clipped as it says there. What a correct controller can meet
+    (disarmed, latched, expired, a state from before a reset) is a refusal, returned and
+    counted in `refusals`; what is a bug (a kind that the spec does not declare, a wrong
+    shape, a value that is not finite) raises `InvalidCommand`. Of several commands in a
+    tick the last accepted one counts. A tick without an accepted command is held.
+
+    **Time.** The robot's side owns time and the tick counter. `advance` ends the control
+    tick: a simulator steps its physics, a robot waits for its next tick. No time stamp is
+    compared across machines: a command names the state that it answers, and expires by that
+    state's age on the robot's clock (`limits.watchdog_s`).
+
+    **Reset.** `reset` answers done, needs a human, or failed. After it has asked for a human
+    nothing moves until `confirm_hands_clear`, and then everything moves at reduced speed
+    (`speed_scale`) until a reset is done.
+
+    Implementers write the hooks of `RobotHooks`; this class calls them one at a time, under
+    a lock, and only where the lifecycle allows.
+    """
+
+    def __init__(self, spec: RobotSpec, clock: Clock | None = None) -> None:
+        """Describe the robot, without a connection.
+
+        Args:
+            spec: Its description.
+            clock: The robot's clock; the machine's own by default.
+        """
+        self._spec = spec
+        self._clock: Clock = MonotonicClock() if clock is None else clock
+        self._hooks = threading.RLock()  # held while a hook runs, up to a whole tick
+        self._gate = CommandGate(spec, self._clock)
+        self._open_now = False
+        self._hands_clear = True
+        self._speed_scale = 1.0
+
+    # What may be asked at any time
+
+    @property
+    def spec(self) -> RobotSpec:
+        """The robot's description."""
+        return self._spec
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection."""
+        return self._open_now
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the command gate is open."""
+        return self._gate.armed
+
+    @property
+    def fault(self) -> Fault | None:
+        """The latched fault, None without one."""
+        return self._gate.fault
+
+    @property
+    def refusals(self) -> Mapping[Refusal, int]:
+        """How many commands were refused, by reason, since construction."""
+        return self._gate.refusals
+
+    @property
+    def speed_scale(self) -> float:
+        """Share of full speed that is allowed now. It scales whole motions, never one joint."""
+        return self._speed_scale
+
+    # Lifecycle
+
+    def open(self) -> None:
+        """Connect. The robot is held and disarmed afterwards.
+
+        Raises:
+            LifecycleError: If it is open already.
+        """
+        with self._hooks:
+            if self._open_now:
+                raise LifecycleError(f"{self.spec.name} is open already; close it first")
+            self._open()
+            self._open_now = True
+            self._gate.forget_states()
+
+    def arm(self) -> None:
+        """Open the command gate. The robot stays held until the first command.
+
+        Raises:
+            LifecycleError: If the driver is not open, or is armed already.
+            FaultLatched: If a fault is latched.
+            HandsNotClear: If a human was asked for and hands are not confirmed clear.
+        """
+        with self._hooks:
+            self._require_motion("arm")
+            self._gate.arm()
+
+    def disarm(self) -> None:
+        """Close the command gate and hold. Idempotent, from any thread."""
+        self._gate.disarm()
+        with self._hooks:
+            if self._open_now:
+                self._hold()
+
+    def close(self) -> None:
+        """Disarm, hold and disconnect. Idempotent, from any thread; a fault stays latched."""
+        self._gate.disarm()  # at once, and not only when a tick in progress is over
+        with self._hooks:
+            if not self._open_now:
+                return
+            try:
+                self._hold()
+            finally:  # a robot that could not be held is still disconnected, and holds on silence
+                self._open_now = False
+                self._close()
+
+    def stop(self, reason: str, fault: str = EMERGENCY_STOP) -> None:
+        """Stop and latch. Idempotent, from any thread, in any state; the first stop is kept.
+
+        Args:
+            reason: What happened, in words.
+            fault: Name under which it latches.
+        """
+        self._gate.latch(fault, reason)
+        log.warning("%s stopped: %s", self.spec.name, reason)
+        self._interrupt()
+        with self._hooks:
+            if self._open_now:
+                self._hold()
+
+    def clear_fault(self, name: str) -> None:
+        """Unlatch a fault: an operator's act. It never arms.
+
+        Args:
+            name: Name of the latched fault.
+
+        Raises:
+            LifecycleError: If another fault, or none, is latched.
+        """
+        self._gate.clear(name)
+
+    def __enter__(self) -> Self:
+        if not self._open_now:
+            self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # The control tick
+
+    def read(self, max_age_s: float | None = None) -> RobotState:
+        """Return the newest measurement.
+
+        Args:
+            max_age_s: Greatest age accepted; the spec's watchdog by default. Objects go by
+                the age limit of their own sensor.
+
+        Raises:
+            LifecycleError: If the driver is not open.
+            StaleState: If the measurement, or that of an object, is older.
+        """
+        limit_s = self.spec.limits.watchdog_s if max_age_s is None else max_age_s
+        with self._hooks:
+            self._require_open("read")
+            state = self._read()
+            now_ns = self._clock.now_ns()
+            self._require_fresh("state", state.stamp_ns, now_ns, limit_s)
+            for name, pose in state.objects.items():
+                limit_s = self.spec.objects[name].max_age_s
+                self._require_fresh(f"object {name!r}", pose.stamp_ns, now_ns, limit_s)
+            self._gate.remember(state)
+            return state
+
+    def command(self, command: Command) -> Acceptance:
+        """Hand over a target for this tick.
+
+        Args:
+            command: The target, of a kind that the spec declares.
+
+        Returns:
+            Acceptance only: what was applied arrives in the next state.
+
+        Raises:
+            LifecycleError: If the driver is not open.
+            InvalidCommand: If this robot can never carry it out.
+        """
+        self._require_valid(command)
+        with self._hooks:
+            self._require_open("command")
+            judgement = self._gate.judge(command)
+            if judgement.accepted:
+                self._apply(command)
+            return judgement
+
+    def advance(self) -> None:
+        """End the control tick. Without an accepted command the tick is held.
+
+        Raises:
+            LifecycleError: If the driver is not open.
+        """
+        with self._hooks:
+            self._require_open("advance")
+            if not self._gate.armed:  # a stop that still waits for the hooks must not be outrun
+                self._hold()
+            self._advance()
+
+    def reset(self, request: ResetRequest) -> ResetResult:
+        """Go home and put the objects in place.
+
+        Args:
+            request: Where things should be.
+
+        Returns:
+            Done, needs a human, or failed. States from before are no longer answerable.
+
+        Raises:
+            LifecycleError: If the driver is not open, or is armed.
+            FaultLatched: If a fault is latched.
+            HandsNotClear: If a human was asked for and hands are not confirmed clear.
+            InvalidRequest: If the request names what the robot does not have.
+        """
+        with self._hooks:
+            self._require_motion("reset")
+            self._gate.forget_states()
+            result = self._reset(request)
+            if result.outcome is ResetOutcome.NEEDS_HUMAN:
+                self._hands_clear = False
+            elif result.outcome is ResetOutcome.DONE:
+                self._speed_scale = 1.0
+            return result
+
+    def confirm_hands_clear(self) -> None:
+        """Confirm that nobody is in reach, after a reset that needed a human.
+
+        Motion is at reduced speed from here until a reset is done.
+
+        Raises:
+            LifecycleError: If no human was asked for.
+        """
+        with self._hooks:
+            if self._hands_clear:
+                raise LifecycleError(f"{self.spec.name} asked for no human; nothing to confirm")
+            self._hands_clear = True
+            self._speed_scale = self.spec.limits.reduced_speed_scale
+
+    # What the implementations share
+
+    def _mode(self, moving: bool) -> Mode:
+        """Return the mode of a robot that is, or is not, following a command."""
+        if self._gate.fault is not None:
+            return Mode.STOPPED
+        if not self._gate.armed:
+            return Mode.DISARMED
+        return Mode.MOVING if moving else Mode.HELD
+
+    def _require_open(self, call: str) -> None:
+        if not self._open_now:
+            raise LifecycleError(f"{call} on {self.spec.name}, which is not open; open it first")
+
+    def _require_motion(self, call: str) -> None:
+        self._require_open(call)
+        if self._gate.armed:
+            raise LifecycleError(f"{call} on {self.spec.name}, which is armed; disarm it first")
+        self._gate.require_no_fault()
+        if not self._hands_clear:
+            raise HandsNotClear(
+                f"{call} on {self.spec.name} after human help; confirm_hands_clear comes first"
+            )
+
+    def _require_fresh(self, what: str, stamp_ns: int, now_ns: int, limit_s: float) -> None:
+        age_s = (now_ns - stamp_ns) / 1e9
+        if age_s > limit_s:
+            raise StaleState(
+                f"{what} of {self.spec.name} is {age_s:.3f} s old, allowed: {limit_s} s"
+            )
+
+    def _require_valid(self, command: Command) -> None:
+        if command.kind not in self.spec.command_kinds:
+            raise InvalidCommand(
+                f"{self.spec.name} takes no {command.kind!r} command, "
+                f"allowed: {', '.join(self.spec.command_kinds)}"
+            )
+        command.check(self.spec)

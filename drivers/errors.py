@@ -1,0 +1,42 @@
+"""What can go wrong with a robot.
+
+Every message carries the name, the value, what is allowed and what to do.
+"""
+
+from __future__ import annotations
+
+
+class DriverError(Exception):
+    """Base of every error that a driver raises."""
+
+
+class UnknownDriver(DriverError, ValueError):
+    """No driver has this name."""
+
+
+class InvalidSpec(DriverError, ValueError):
+    """A robot describes itself in a way that contradicts itself or is unsafe."""
+
+
+class InvalidCommand(DriverError, ValueError):
+    """A command that this robot can never carry out: a bug of the sender, not of the moment."""
+
+
+class InvalidRequest(DriverError, ValueError):
+    """A reset request that names what the robot does not have."""
+
+
+class LifecycleError(DriverError, RuntimeError):
+    """A call out of order, such as reading a driver that is not open."""
+
+
+class HandsNotClear(LifecycleError):
+    """Motion was asked for after human help and before hands were confirmed clear."""
+
+
+class FaultLatched(DriverError, RuntimeError):
+    """The robot is stopped until an operator clears the fault by its name."""
+
+
+class StaleState(DriverError, RuntimeError):
+    """The newest measurement is older than the caller accepts."""

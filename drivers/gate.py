@@ -1,0 +1,164 @@
+"""Decides which commands may pass to a robot."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers.clock import Clock
+from drivers.command import Acceptance, Command, Refusal
+from drivers.errors import FaultLatched, LifecycleError
+from drivers.spec import RobotSpec
+from drivers.state import RobotState
+
+_REMEMBERED_STATES = 64
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A latched fault.
+
+    Attributes:
+        name: What clears it.
+        reason: What happened, in words.
+        stamp_ns: When it latched, on the robot's clock.
+    """
+
+    name: str
+    reason: str
+    stamp_ns: int
+
+
+class CommandGate:
+    """Open only while armed, never with a fault, and only to answers to fresh states.
+
+    Its lock is held for a few instructions, never for a tick, so that a stop from another
+    thread takes effect at once.
+    """
+
+    def __init__(self, spec: RobotSpec, clock: Clock) -> None:
+        self._spec = spec
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._armed = False
+        self._fault: Fault | None = None
+        self._stamps: dict[int, int] = {}
+        self._refusals: Counter[Refusal] = Counter()
+
+    @property
+    def armed(self) -> bool:
+        """Whether commands may pass."""
+        return self._armed
+
+    @property
+    def fault(self) -> Fault | None:
+        """The latched fault, None without one."""
+        return self._fault
+
+    @property
+    def refusals(self) -> Mapping[Refusal, int]:
+        """How many commands were refused, by reason."""
+        return dict(self._refusals)
+
+    def arm(self) -> None:
+        """Open the gate.
+
+        Raises:
+            FaultLatched: If a fault is latched.
+        """
+        with self._lock:  # a stop from another thread falls before or after, never between
+            self.require_no_fault()
+            self._armed = True
+
+    def disarm(self) -> None:
+        """Close the gate."""
+        with self._lock:
+            self._armed = False
+
+    def latch(self, name: str, reason: str) -> None:
+        """Close the gate for good; the first fault is kept.
+
+        Args:
+            name: What will clear it.
+            reason: What happened, in words.
+        """
+        with self._lock:
+            self._armed = False
+            if self._fault is None:
+                self._fault = Fault(name, reason, self._clock.now_ns())
+
+    def clear(self, name: str) -> None:
+        """Unlatch a fault; the gate stays closed.
+
+        Args:
+            name: Name of the latched fault.
+
+        Raises:
+            LifecycleError: If another fault, or none, is latched.
+        """
+        with self._lock:
+            latched = None if self._fault is None else self._fault.name
+            if latched is None or latched != name:
+                raise LifecycleError(
+                    f"fault {name!r} is not latched on {self._spec.name}, latched: {latched!r}"
+                )
+            self._fault = None
+
+    def require_no_fault(self) -> None:
+        """Raise `FaultLatched` if a fault is latched."""
+        if self._fault is not None:
+            raise FaultLatched(
+                f"{self._spec.name} is stopped by {self._fault.name!r} ({self._fault.reason}); "
+                "an operator clears it by that name"
+            )
+
+    def remember(self, state: RobotState) -> None:
+        """Note a state that was read, so that commands may answer it."""
+        self._stamps[state.seq] = state.stamp_ns
+        if len(self._stamps) > _REMEMBERED_STATES:
+            del self._stamps[next(iter(self._stamps))]
+
+    def forget_states(self) -> None:
+        """Make every state so far unanswerable."""
+        self._stamps.clear()
+
+    def judge(self, command: Command) -> Acceptance:
+        """Say whether a command may pass, and count it if not.
+
+        Args:
+            command: A command that this robot could carry out.
+
+        Returns:
+            Acceptance, or why not.
+        """
+        judgement = self._judge(command)
+        if judgement.refusal is not None:
+            self._refusals[judgement.refusal] += 1
+        return judgement
+
+    def _judge(self, command: Command) -> Acceptance:
+        fault = self._fault
+        if fault is not None:
+            return Acceptance(Refusal.LATCHED, f"stopped by {fault.name!r} ({fault.reason})")
+        if not self._armed:
+            return Acceptance(Refusal.DISARMED, "the command gate is closed; arm first")
+        stamp_ns = self._stamps.get(command.answers)
+        if stamp_ns is None:
+            newest = next(reversed(self._stamps), None)
+            return Acceptance(
+                Refusal.UNKNOWN_STATE,
+                f"answers state {command.answers}, newest read since the reset: {newest}",
+            )
+        age_s = (self._clock.now_ns() - stamp_ns) / 1e9
+        limit_s = self._spec.limits.watchdog_s
+        if age_s > limit_s:
+            return Acceptance(
+                Refusal.EXPIRED,
+                f"answers state {command.answers}, {age_s:.3f} s old, allowed: {limit_s} s",
+            )
+        return _ACCEPTED
+
+
+_ACCEPTED = Acceptance()

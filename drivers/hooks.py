@@ -1,0 +1,43 @@
+"""What an implementation of a robot driver writes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from drivers.command import Command, ResetRequest, ResetResult
+from drivers.state import RobotState
+
+
+class RobotHooks(ABC):
+    """Hooks that `RobotDriver` calls, one at a time, where its contract allows."""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Connect; leave the robot held."""
+
+    @abstractmethod
+    def _hold(self) -> None:
+        """Drop any command not yet applied and come to zero motion, powered. Idempotent."""
+
+    @abstractmethod
+    def _read(self) -> RobotState:
+        """Return the newest measurement, however old it is."""
+
+    @abstractmethod
+    def _apply(self, command: Command) -> None:
+        """Take a valid, fresh command for this tick, replacing an earlier one."""
+
+    @abstractmethod
+    def _advance(self) -> None:
+        """Step the physics, or wait for the robot's next tick."""
+
+    @abstractmethod
+    def _reset(self, request: ResetRequest) -> ResetResult:
+        """Carry out a reset, at `speed_scale` of full speed."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Disconnect; leave the robot held."""
+
+    def _interrupt(self) -> None:  # noqa: B027 - optional: many hooks never wait
+        """Make a hook that waits in another thread return early. Called without a lock."""

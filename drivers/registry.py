@@ -1,0 +1,63 @@
+"""Drivers by name: the one built in, and those that other packages bring."""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import entry_points
+from typing import Protocol, cast
+
+from drivers.driver import RobotDriver
+from drivers.errors import UnknownDriver
+from drivers.names import unknown
+
+GROUP = "iher_robot.drivers"
+"""Entry-point group in which a package names its driver factories."""
+
+# Named in code as well as in the package's metadata, so that an uninstalled checkout has it.
+_BUILT_IN = {"mujoco": "drivers.mujoco:MujocoDriver"}
+
+
+class DriverFactory(Protocol):
+    """Makes a driver for the scene that a task names, with options of its own."""
+
+    def __call__(self, *, scene: str, **options: object) -> RobotDriver:
+        """Return the driver, not yet open."""
+        ...
+
+
+def driver_targets() -> dict[str, str]:
+    """Return where each driver lives, as ``"module:attribute"`` by name.
+
+    Raises:
+        UnknownDriver: If two packages claim one name for different things.
+    """
+    targets = dict(_BUILT_IN)
+    for entry in entry_points(group=GROUP):
+        if targets.setdefault(entry.name, entry.value) != entry.value:
+            raise UnknownDriver(
+                f"driver name {entry.name!r} is claimed by {targets[entry.name]} and by "
+                f"{entry.value}; uninstall one of the packages"
+            )
+    return targets
+
+
+def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:
+    """Make a driver by name. An error inside the driver's module is raised as it is.
+
+    Args:
+        name: Name of the driver.
+        scene: The scene that the task needs.
+        options: What the driver takes besides.
+
+    Returns:
+        The driver, not yet open.
+
+    Raises:
+        UnknownDriver: If there is no such name.
+    """
+    targets = driver_targets()
+    if name not in targets:
+        raise UnknownDriver(unknown("driver", name, targets))
+    module, _, attribute = targets[name].partition(":")
+    factory = cast(DriverFactory, getattr(importlib.import_module(module), attribute))
+    return factory(scene=scene, **options)

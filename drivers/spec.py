@@ -1,0 +1,189 @@
+"""What a robot is, known before any connection to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from drivers.canonical import Json, differences, digest, to_json
+from drivers.errors import InvalidSpec
+from drivers.limits import Limits, Vector3, check_positive
+
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class ActionSpec:
+    """What an action of the policy means on this robot.
+
+    Attributes:
+        names: What each component moves.
+        position_scale_m: Displacement of the end effector that an action of 1 asks for.
+        gripper_scale_m: Displacement of each finger that an action of 1 asks for.
+        frame: Frame of the displacement.
+    """
+
+    names: tuple[str, ...] = ("dx", "dy", "dz", "gripper")
+    position_scale_m: float = 0.05
+    gripper_scale_m: float = 1.0
+    frame: str = "world"
+
+    def __post_init__(self) -> None:
+        check_positive("position_scale_m", self.position_scale_m)
+        check_positive("gripper_scale_m", self.gripper_scale_m)
+
+    @property
+    def dim(self) -> int:
+        """Length of an action."""
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """Where the pose of an object comes from.
+
+    Attributes:
+        source: The sensor or tracker, such as ``"simulator"``.
+        frame: Frame of the pose.
+        max_age_s: Age past which this sensor's pose is stale. It belongs to the sensor: a
+            15 Hz camera is not stale at 25 Hz.
+    """
+
+    source: str
+    frame: str
+    max_age_s: float
+
+    def __post_init__(self) -> None:
+        check_positive("max_age_s", self.max_age_s)
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where the robot stands after a reset.
+
+    Attributes:
+        ee_pos: Position of the end effector in the spec's frame, m.
+        ee_quat: Its orientation, wxyz.
+        object_heights: Height at which each object rests, m, where the robot knows it.
+    """
+
+    ee_pos: Vector3
+    ee_quat: Quaternion
+    object_heights: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A robot's description of itself.
+
+    Two digests stand for it. `interface_digest` must match between a policy and a robot;
+    `body_digest` is recorded, and a difference is listed for a person to accept. What
+    nobody can know of a real robot (mass, friction) is in neither, nor is what says where
+    the robot stands (`home`) or how it is guarded (`physical` and what follows).
+
+    Attributes:
+        name: Name of the robot.
+        command_kinds: Kinds of command that it takes.
+        action: Meaning and scale of a policy's action.
+        control_period_s: Time of one control tick.
+        frame: Frame of every pose of the robot.
+        objects: Source of each object's pose, by object name.
+        finger_names: Finger joints, in the order of `RobotState.fingers_pos`.
+        limits: Every limit.
+        gains: Gains of the low-level control, by name.
+        calibration_id: Which calibration is in force.
+        kinematic_model: Digest of the kinematic model.
+        home: Where it stands after a reset.
+        physical: Whether something real moves.
+        hold_on_silence_s: Time without a command after which the robot holds by itself;
+            a physical robot must declare it.
+        enforces_joint_limits: Whether the joint limits above are enforced at all.
+    """
+
+    name: str
+    command_kinds: tuple[str, ...]
+    action: ActionSpec
+    control_period_s: float
+    frame: str
+    objects: Mapping[str, ObjectSource]
+    finger_names: tuple[str, ...]
+    limits: Limits
+    gains: Mapping[str, float]
+    calibration_id: str
+    kinematic_model: str
+    home: Home
+    physical: bool
+    hold_on_silence_s: float | None
+    enforces_joint_limits: bool
+
+    def __post_init__(self) -> None:
+        check_positive("control_period_s", self.control_period_s)
+        if not self.command_kinds:
+            raise InvalidSpec(f"{self.name} declares no command kind, at least one is needed")
+        if self.hold_on_silence_s is not None:
+            check_positive("hold_on_silence_s", self.hold_on_silence_s)
+        elif self.physical:
+            raise InvalidSpec(
+                f"{self.name} is physical and declares no hold_on_silence_s: give the time "
+                "without a command after which the robot holds by itself"
+            )
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joints in the order of `RobotState.q`."""
+        return tuple(self.limits.joints)
+
+    @property
+    def control_period_ns(self) -> int:
+        """Time of one control tick in nanoseconds."""
+        return round(self.control_period_s * 1e9)
+
+    @cached_property
+    def interface_digest(self) -> str:
+        """Digest of what must match between a policy and a robot."""
+        return digest(self.interface())
+
+    @cached_property
+    def body_digest(self) -> str:
+        """Digest of what distinguishes one body from another of the same interface."""
+        return digest(self.body())
+
+    def interface(self) -> dict[str, Json]:
+        """Return action meaning and scale, command kinds, control period, frames, sources."""
+        return {
+            "action": to_json(self.action),
+            "command_kinds": to_json(tuple(sorted(self.command_kinds))),
+            "control_period_s": self.control_period_s,
+            "frame": self.frame,
+            "objects": to_json(self.objects),
+        }
+
+    def body(self) -> dict[str, Json]:
+        """Return joint names and limits, gains, calibration and kinematic model."""
+        return {
+            "joint_names": to_json(self.joint_names),
+            "finger_names": to_json(self.finger_names),
+            "limits": to_json(self.limits),
+            "gains": to_json(self.gains),
+            "calibration_id": self.calibration_id,
+            "kinematic_model": self.kinematic_model,
+        }
+
+    def interface_differences(self, other: RobotSpec) -> list[str]:
+        """Name what differs from another robot's interface; empty if nothing does."""
+        return differences(self.interface(), other.interface())
+
+    def body_differences(self, other: RobotSpec) -> list[str]:
+        """Name what differs from another robot's body; empty if nothing does."""
+        return differences(self.body(), other.body())
+
+    def to_dict(self) -> dict[str, Json]:
+        """Return the whole description and both digests as plain JSON data."""
+        whole = to_json(self)
+        assert isinstance(whole, dict)
+        digests: dict[str, Json] = {
+            "interface_digest": self.interface_digest,
+            "body_digest": self.body_digest,
+        }
+        return whole | digests

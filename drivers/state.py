@@ -1,0 +1,114 @@
+"""What a robot reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.command import Command
+
+Array = NDArray[np.float64]
+
+
+def _freeze(*arrays: Array) -> None:
+    for array in arrays:
+        array.setflags(write=False)
+
+
+class Mode(StrEnum):
+    """What the robot is doing. In every mode its joints are powered."""
+
+    DISARMED = "disarmed"
+    """Held, and the command gate is closed."""
+    HELD = "held"
+    """Armed, zero motion: no fresh command."""
+    MOVING = "moving"
+    """Armed, following a command."""
+    STOPPED = "stopped"
+    """Held by a latched fault."""
+
+
+@dataclass(frozen=True, eq=False)
+class AppliedCommand:
+    """The last command that was really applied.
+
+    Attributes:
+        tick: Sequence of the state at the end of the tick in which it was in force.
+        command: What was applied, after every limit.
+        clipped: Why it differs from what was asked; empty if it does not.
+    """
+
+    tick: int
+    command: Command
+    clipped: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPose:
+    """The pose of an object as one sensor saw it. It makes its arrays read-only.
+
+    Attributes:
+        pos: m, in `frame`. ``(3,)``
+        quat: wxyz. ``(4,)``
+        linvel: m/s. ``(3,)``
+        angvel: rad/s. ``(3,)``
+        stamp_ns: When it was seen, on the robot's clock.
+        source: The sensor.
+        frame: Frame of everything above.
+    """
+
+    pos: Array
+    quat: Array
+    linvel: Array
+    angvel: Array
+    stamp_ns: int
+    source: str
+    frame: str
+
+    def __post_init__(self) -> None:
+        _freeze(self.pos, self.quat, self.linvel, self.angvel)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """One measurement of everything. It makes the arrays that it is given read-only.
+
+    Attributes:
+        seq: The robot's tick counter.
+        stamp_ns: When it was measured, on the robot's clock.
+        q: Joint positions, rad or m, in the order of `RobotSpec.joint_names`. ``(n_joints,)``
+        dq: Joint velocities. ``(n_joints,)``
+        ee_pos: End effector in the spec's frame, m. ``(3,)``
+        ee_quat: wxyz. ``(4,)``
+        ee_linvel: m/s. ``(3,)``
+        ee_angvel: rad/s. ``(3,)``
+        fingers_pos: m, in the order of `RobotSpec.finger_names`. ``(n_fingers,)``
+        fingers_vel: m/s. ``(n_fingers,)``
+        mode: What the robot is doing.
+        fault: Name of the latched fault, None without one.
+        applied: The last command really applied, None if none was since the reset.
+        objects: Pose of each object, by name.
+    """
+
+    seq: int
+    stamp_ns: int
+    q: Array
+    dq: Array
+    ee_pos: Array
+    ee_quat: Array
+    ee_linvel: Array
+    ee_angvel: Array
+    fingers_pos: Array
+    fingers_vel: Array
+    mode: Mode
+    fault: str | None
+    applied: AppliedCommand | None
+    objects: Mapping[str, ObjectPose]
+
+    def __post_init__(self) -> None:
+        _freeze(self.q, self.dq, self.ee_pos, self.ee_quat, self.ee_linvel, self.ee_angvel)
+        _freeze(self.fingers_pos, self.fingers_vel)

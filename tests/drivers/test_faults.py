@@ -1,0 +1,154 @@
+"""What the contract promises when hooks fail, threads meet, and people have to help."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from drivers import (
+    EndEffectorCommand,
+    HandsNotClear,
+    LifecycleError,
+    ResetOutcome,
+    ResetRequest,
+    StaleState,
+)
+from tests.drivers.fake_robot import PERIOD_NS, FakeRobot
+
+
+@pytest.fixture
+def robot() -> FakeRobot:
+    return FakeRobot()
+
+
+def arm(robot: FakeRobot) -> None:
+    robot.open()
+    robot.reset(ResetRequest())
+    robot.arm()
+
+
+def test_a_stop_from_another_thread_does_not_wait_for_the_tick(robot: FakeRobot) -> None:
+    arm(robot)
+    robot.slow = True
+    ticking = threading.Thread(target=robot.advance)
+    ticking.start()
+    assert robot.waiting.wait(timeout=10.0)
+    stopping = threading.Thread(target=robot.stop, args=("pressed",))
+    stopping.start()
+    while robot.fault is None:
+        assert ticking.is_alive()
+    assert not robot.is_armed, "the gate must be closed while the tick still runs"
+    robot.released.set()
+    ticking.join(timeout=10.0)
+    stopping.join(timeout=10.0)
+    assert robot.calls[-1] == "hold"
+
+
+def test_a_command_accepted_before_a_stop_is_not_applied_after_it(robot: FakeRobot) -> None:
+    arm(robot)
+    state = robot.read()
+    robot.command(EndEffectorCommand(state.seq, np.ones(3) * 0.01, np.zeros(2)))
+    robot._gate.latch("overheated", "latched, and its hold still waits for the lock")
+    robot.advance()
+    assert robot.applied is None
+    np.testing.assert_array_equal(robot.position, state.ee_pos)
+
+
+def test_stops_closes_and_disarms_from_many_threads_end_disarmed(robot: FakeRobot) -> None:
+    arm(robot)
+    calls = [lambda: robot.stop("pressed"), robot.disarm, robot.close] * 5
+    threads = [threading.Thread(target=call) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=10.0)
+    assert not robot.is_armed
+    assert not robot.is_open
+    assert robot.calls.count("close") == 1
+    assert robot.fault is not None
+
+
+@pytest.mark.parametrize("hook", ["hold", "advance", "read", "reset", "apply"])
+def test_a_context_ends_disarmed_and_disconnected_when_a_hook_raises(
+    robot: FakeRobot, hook: str
+) -> None:
+    def episode() -> None:
+        with robot:
+            robot.reset(ResetRequest())
+            robot.arm()
+            state = robot.read()
+            robot.command(EndEffectorCommand(state.seq, np.zeros(3), np.zeros(2)))
+            robot.advance()
+
+    robot.failing = {hook}
+    with pytest.raises(OSError, match=f"{hook} failed"):
+        episode()
+    assert not robot.is_armed
+    assert not robot.is_open
+    assert robot.calls[-2:] == ["hold", "close"]
+
+
+def test_an_old_measurement_is_stale(robot: FakeRobot) -> None:
+    robot.open()
+    robot.clock.advance_ns(2 * PERIOD_NS)
+    assert robot.read().seq == 0
+    with pytest.raises(StaleState, match=r"state of fake is 0\.080 s old, allowed: 0\.05 s"):
+        robot.read(max_age_s=0.05)
+    robot.clock.advance_ns(PERIOD_NS)
+    with pytest.raises(StaleState, match=r"allowed: 0\.1 s"):
+        robot.read()
+
+
+def test_each_sensor_has_an_age_limit_of_its_own(robot: FakeRobot) -> None:
+    robot.open()
+    robot.clock.advance_ns(PERIOD_NS)
+    robot.advance()
+    robot.camera_age_ns = 150_000_000  # older than the robot's limit, within the camera's
+    assert robot.read().objects["object0"].stamp_ns < robot.stamp_ns
+    robot.camera_age_ns = 201_000_000
+    with pytest.raises(StaleState, match="object 'object0' of fake is 0.201 s old"):
+        robot.read()
+
+
+def test_a_stale_state_cannot_be_answered(robot: FakeRobot) -> None:
+    arm(robot)
+    robot.clock.advance_ns(4 * PERIOD_NS)
+    with pytest.raises(StaleState):
+        robot.read()
+    command = EndEffectorCommand(robot.seq, np.zeros(3), np.zeros(2))
+    assert not robot.command(command).accepted
+
+
+def test_after_human_help_hands_are_confirmed_clear_before_anything_moves(
+    robot: FakeRobot,
+) -> None:
+    robot.open()
+    with pytest.raises(LifecycleError, match="nothing to confirm"):
+        robot.confirm_hands_clear()
+    robot.outcomes = [ResetOutcome.NEEDS_HUMAN]
+    assert robot.reset(ResetRequest()).outcome is ResetOutcome.NEEDS_HUMAN
+    for moving in (robot.arm, lambda: robot.reset(ResetRequest())):
+        with pytest.raises(HandsNotClear, match="confirm_hands_clear"):
+            moving()
+    assert robot.speed_scale == 1.0
+    robot.confirm_hands_clear()
+    assert robot.speed_scale == 0.25
+    robot.outcomes = [ResetOutcome.FAILED]
+    robot.reset(ResetRequest())
+    assert robot.speed_scale == 0.25, "a failed reset must not bring full speed back"
+    robot.reset(ResetRequest())
+    assert robot.speed_scale == 1.0
+    robot.arm()
+    assert robot.is_armed
+
+
+def test_hands_stay_unconfirmed_over_a_restart(robot: FakeRobot) -> None:
+    robot.open()
+    robot.outcomes = [ResetOutcome.NEEDS_HUMAN]
+    robot.reset(ResetRequest())
+    robot.close()
+    robot.open()
+    with pytest.raises(HandsNotClear):
+        robot.arm()
