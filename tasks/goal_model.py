@@ -1,0 +1,95 @@
+"""Goals and rewards as functions of observations alone, real or imagined."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tasks.arrays import ArrayT, FloatArray
+from tasks.layout import ObservationLayout
+
+
+class GoalModel(ABC):
+    """Pure functions, batched over leading axes, on numpy arrays and torch tensors alike.
+
+    The learner calls them on observations that no robot ever made.
+    """
+
+    def __init__(self, layout: ObservationLayout, achieved: str, threshold: float) -> None:
+        """Choose what counts.
+
+        Args:
+            layout: Layout of the observations.
+            achieved: Entry that is compared with the goal.
+            threshold: Distance within which a goal is reached, m.
+        """
+        self.layout = layout
+        self.threshold = threshold
+        self._achieved_entry = achieved
+        self._achieved = layout.slices[achieved]
+
+    @property
+    def goal_dim(self) -> int:
+        """Length of a goal."""
+        return dict(self.layout.sizes)[self._achieved_entry]
+
+    @abstractmethod
+    def sample_goal(self, rng: np.random.Generator, start_obs: FloatArray) -> NDArray[np.float64]:
+        """Draw a goal for each start.
+
+        Args:
+            rng: Source of randomness.
+            start_obs: Observations at the start, as measured. ``(batch, obs_dim)``
+
+        Returns:
+            Goals, m, in the robot's frame. ``(batch, goal_dim)``
+        """
+
+    def achieved_goal(self, obs: ArrayT) -> ArrayT:
+        """Return the goal that an observation achieves.
+
+        Args:
+            obs: Observations. ``(..., obs_dim)``
+
+        Returns:
+            Goals, m, in the robot's frame. ``(..., goal_dim)``
+        """
+        return obs[..., self._achieved]
+
+    def distance(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
+        """Return how far goals are apart, m. ``(...,)``"""
+        difference = achieved - desired
+        squared: ArrayT = (difference * difference).sum(-1)
+        return squared**0.5
+
+    def compute_reward(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
+        """Return the sparse reward.
+
+        Args:
+            achieved: Goals achieved. ``(..., goal_dim)``
+            desired: Goals wanted. ``(..., goal_dim)``
+
+        Returns:
+            0 within the threshold, else -1. ``(...,)``
+
+        Source: ``compute_reward`` of `gymnasium_robotics/envs/fetch/fetch_env.py`.
+        """
+        missed = self.distance(achieved, desired) > self.threshold
+        return missed * -1.0 + 0.0  # the sum turns -0.0 into 0.0
+
+    def is_success(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
+        """Return 1 where a goal is reached, else 0. ``(...,)``"""
+        return (self.distance(achieved, desired) < self.threshold) * 1.0
+
+    def complete(self, obs: ArrayT) -> ArrayT:
+        """Recompute the entries that follow from others, such as object relative to gripper.
+
+        Args:
+            obs: Observations, imagined for instance. ``(..., obs_dim)``
+
+        Returns:
+            A new array or tensor. ``(..., obs_dim)``
+        """
+        return self.layout.complete(obs)

@@ -1,0 +1,15 @@
+"""Push a block to a place on the table."""
+
+from __future__ import annotations
+
+from tasks.frame import TaskFrame
+from tasks.tabletop import TabletopTask
+
+
+class Push(TabletopTask):
+    """FetchPush-v4: push a block with the closed gripper."""
+
+    name = "push"
+    scene = "push"
+    blocks_gripper = True
+    default_frame = TaskFrame()
