@@ -1,0 +1,149 @@
+"""Ensemble of one-step dynamics models (paper, section III.B and appendix)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import nn
+
+from iher_robot.learning.config import DynamicsConfig
+from iher_robot.learning.goal_model import Shapes
+from iher_robot.learning.networks import mlp
+from iher_robot.learning.normalizer import FittedNormalizer
+from iher_robot.learning.replay import EpisodeReplay
+
+
+def recency_weights(epoch: int, config: DynamicsConfig) -> torch.Tensor:
+    """Sampling weight of a transition by the epoch in which it was collected.
+
+    Args:
+        epoch: The current epoch E, from 1.
+        config: Bias b, and which form.
+
+    Returns:
+        1 + (b - 1) i / E, or as printed in the paper i / E (b - 1), for i = 0..E. ``(E + 1,)``
+    """
+    share = torch.arange(epoch + 1, dtype=torch.float64) / epoch
+    weights = share * (config.recency_bias - 1.0)
+    return weights if config.recency_weights == "printed" else 1.0 + weights
+
+
+class DynamicsEnsemble:
+    """Networks that each predict the change of the observation in one control tick.
+
+    Members differ by their initial weights and by the batches they see. Inputs and targets are
+    normalised with statistics of the real data, refitted by ``fit_normalizers`` and frozen
+    until its next call.
+
+    Args:
+        shapes: Sizes of the arrays.
+        config: Size, training and normalisation.
+        generator: Draws the initial weights, on the CPU.
+        device: Where the models compute.
+    """
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        config: DynamicsConfig,
+        *,
+        generator: torch.Generator,
+        device: torch.device,
+    ) -> None:
+        self.config = config
+        inputs = shapes.obs_dim + shapes.action_dim
+        self.members = nn.ModuleList(
+            mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
+        ).to(device)
+        self.input_normalizer = FittedNormalizer(inputs, std_floor=config.std_floor, device=device)
+        self.delta_normalizer = FittedNormalizer(
+            shapes.obs_dim, std_floor=config.std_floor, device=device
+        )
+        # Bounds of the real observations, for imagination.
+        self.obs_low = torch.full((shapes.obs_dim,), -torch.inf, device=device)
+        self.obs_high = torch.full((shapes.obs_dim,), torch.inf, device=device)
+        self._optimizer = torch.optim.Adam(self.members.parameters(), lr=config.lr, fused=True)
+
+    def fit_normalizers(self, real: EpisodeReplay) -> None:
+        """Refit the statistics to every stored real transition."""
+        observation, action, following = real.steps(*real.every_step())
+        self.input_normalizer.fit(torch.cat([observation, action], dim=-1))
+        self.delta_normalizer.fit(following - observation)
+        self.obs_low = torch.minimum(observation.amin(0), following.amin(0))
+        self.obs_high = torch.maximum(observation.amax(0), following.amax(0))
+
+    def train(
+        self, real: EpisodeReplay, steps: int, *, batch_size: int, generator: torch.Generator
+    ) -> float:
+        """Take gradient steps on each member with batches of its own.
+
+        Args:
+            real: Real transitions.
+            steps: Gradient steps.
+            batch_size: Transitions a step and member.
+            generator: Draws the batches.
+
+        Returns:
+            Mean squared error of the last step in normalised units, averaged over members and
+            dimensions.
+        """
+        epoch = max(1, real.newest_epoch)
+        weights = recency_weights(epoch, self.config).to(self.obs_low.device)
+        loss = torch.zeros((), device=self.obs_low.device)
+        for _ in range(steps):
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.zero_()
+            for member in self.members:
+                episode, tick = real.draw(batch_size, generator, weights)
+                observation, action, following = real.steps(episode, tick)
+                target = self.delta_normalizer.normalize(following - observation)
+                error = member(self._inputs(observation, action)) - target
+                squared = error.square().sum(-1).mean()
+                squared.backward()
+                loss += squared.detach() / target.shape[-1]
+            self._optimizer.step()
+        return float(loss) / len(self.members)
+
+    def _inputs(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.input_normalizer.normalize(torch.cat([observation, action], dim=-1))
+
+    @torch.no_grad()
+    def predict(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        """Every member's prediction of the normalised change.
+
+        Args:
+            observation: ``(batch, obs_dim)``
+            action: ``(batch, action_dim)``
+
+        Returns:
+            ``(members, batch, obs_dim)``
+        """
+        inputs = self._inputs(observation, action)
+        return torch.stack([member(inputs) for member in self.members])
+
+    def next_observation(
+        self, observation: torch.Tensor, normalized_delta: torch.Tensor
+    ) -> torch.Tensor:
+        """Observation after a predicted change. ``(batch, obs_dim)``"""
+        return observation + self.delta_normalizer.denormalize(normalized_delta)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Weights, optimiser state and statistics."""
+        return {
+            "members": self.members.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "input_normalizer": self.input_normalizer.state_dict(),
+            "delta_normalizer": self.delta_normalizer.state_dict(),
+            "obs_low": self.obs_low.clone(),
+            "obs_high": self.obs_high.clone(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self.members.load_state_dict(state["members"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.input_normalizer.load_state_dict(state["input_normalizer"])
+        self.delta_normalizer.load_state_dict(state["delta_normalizer"])
+        self.obs_low = state["obs_low"].to(self.obs_low.device)
+        self.obs_high = state["obs_high"].to(self.obs_high.device)

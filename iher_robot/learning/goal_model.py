@@ -1,0 +1,65 @@
+"""What the learner must know of a task, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+
+class GoalModel(Protocol):
+    """Pure functions of a goal-conditioned task, batched over leading axes.
+
+    The learner calls them on imagined observations, which are tensors on its device.
+    """
+
+    def achieved_goal(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Goal that an observation achieves. ``(..., obs_dim) -> (..., goal_dim)``"""
+
+    def compute_reward(self, achieved: torch.Tensor, desired: torch.Tensor, /) -> torch.Tensor:
+        """Sparse reward: 0 where the goal is met, else -1. ``(..., goal_dim) -> (...,)``"""
+
+    def complete(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Observation with its derived entries recomputed. ``(..., obs_dim)``"""
+
+    def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
+        """Goals for episodes that start so. ``(batch, obs_dim) -> (batch, goal_dim)``"""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Sizes of the arrays that the learner handles."""
+
+    obs_dim: int
+    goal_dim: int
+    action_dim: int
+    episode_ticks: int
+
+
+REAL = 0
+"""Index of the real source."""
+IMAGINED = 1
+"""Index of the imagined source."""
+SOURCES = ("real", "imagined")
+"""Names of the sources, by index."""
+
+
+def source_features(source: torch.Tensor) -> torch.Tensor:
+    """Encode source indices for actor and critic.
+
+    One-hot over the sources without the imagined one, so that with the paper's two sources it
+    is ``env_is_real``: 1 for real, 0 for imagined (paper, section III.E).
+
+    Args:
+        source: Indices into ``SOURCES``. ``(...,)``
+
+    Returns:
+        Features. ``(..., len(SOURCES) - 1)``
+    """
+    others = [index for index in range(len(SOURCES)) if index != IMAGINED]
+    return torch.stack([(source == index).float() for index in others], dim=-1)

@@ -1,0 +1,235 @@
+"""The I-HER learner: Algorithm 1 of the paper, without the collection of real episodes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.ddpg import DDPG
+from iher_robot.learning.dynamics import DynamicsEnsemble
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
+from iher_robot.learning.imaginary_source import ImaginarySource, Progress
+from iher_robot.learning.intrinsic import refresh_intrinsic
+from iher_robot.learning.meter import Meter
+from iher_robot.learning.policy import Policy
+from iher_robot.learning.replay import EpisodeReplay, Transitions
+
+DYNAMICS_CHUNK = 25
+
+
+def silent(phase: str, done: int, total: int) -> None:
+    """Report no progress."""
+
+
+class Learner:
+    """Learns a goal-conditioned policy from real episodes and from imagination.
+
+    One epoch is ``add_real`` with the episodes that ``policy`` collected, then ``learn``.
+
+    Args:
+        shapes: Sizes of the arrays.
+        goal_model: Achieved goals, rewards, goals to imagine.
+        config: Settings.
+        seed: Seeds every draw of the learner.
+        device: Where replay, models and policy live.
+    """
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        goal_model: GoalModel,
+        config: LearnerConfig,
+        *,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        self.shapes = shapes
+        self.goal_model = goal_model
+        self.config = config
+        self.device = device
+        initial = torch.Generator().manual_seed(seed)
+        self.policy = Policy.from_config(shapes, config, generator=initial, device=device)
+        self.ddpg = DDPG(self.policy, shapes, config, generator=initial, device=device)
+        self.ensemble = DynamicsEnsemble(shapes, config.dynamics, generator=initial, device=device)
+        self.generator = torch.Generator(device).manual_seed(seed)
+        self.real = EpisodeReplay(
+            shapes, capacity=config.replay.capacity, source=REAL, device=device
+        )
+        self.imagined = ImaginarySource(
+            shapes, goal_model, config, generator=self.generator, device=device
+        )
+        self.epoch = 0
+        self.cycle = 0
+        self.updates = 0
+        self.real_collected = 0
+
+    def add_real(self, episodes: Sequence[Episode]) -> None:
+        """Begin an epoch with the real episodes that were collected for it.
+
+        Args:
+            episodes: Episodes of this epoch. Ticks that are not valid are left out, and no
+                transition or hindsight goal spans one.
+        """
+        self.epoch += 1
+        segments = self._store_real(episodes, self.epoch)
+        if segments:
+            fresh = EpisodeReplay(
+                self.shapes,
+                capacity=len(segments) * self.shapes.episode_ticks,
+                source=REAL,
+                device=self.device,
+            )
+            self._add(segments, fresh, self.epoch)
+            sample = self._sample(fresh, fresh.num_transitions)
+            self.policy.obs_normalizer.update(sample.observation)
+            self.policy.goal_normalizer.update(sample.goal)
+
+    def _store_real(self, episodes: Sequence[Episode], epoch: int) -> list[Episode]:
+        segments = [segment for episode in episodes for segment in episode.segments()]
+        self._add(segments, self.real, epoch)
+        self.real_collected += sum(len(segment) for segment in segments)
+        return segments
+
+    def _add(self, segments: Sequence[Episode], replay: EpisodeReplay, epoch: int) -> None:
+        for segment in segments:
+            replay.add(
+                torch.as_tensor(segment.observations, device=self.device).unsqueeze(0),
+                torch.as_tensor(segment.actions, device=self.device).unsqueeze(0),
+                torch.as_tensor(segment.desired_goal, device=self.device).unsqueeze(0),
+                epoch=epoch,
+            )
+
+    def learn(self, progress: Progress = silent) -> dict[str, float]:
+        """Run the rest of the epoch: models, imagination and policy updates.
+
+        Args:
+            progress: Told how far each phase is.
+
+        Returns:
+            Metrics of the epoch.
+
+        Raises:
+            ValueError: No real transition has been added.
+            FloatingPointError: The dynamics models diverged.
+        """
+        schedule = self.config.schedule
+        imagination = self.config.imagination.enabled
+        meter = Meter()
+        if imagination:
+            self._train_dynamics(meter, progress)
+            if self.config.imagination.regenerate or self.imagined.replay.num_episodes == 0:
+                meter.add(self._refill(progress))
+        started = time.perf_counter()
+        for cycle in range(schedule.cycles):
+            if imagination:
+                meter.add(self._imagine_cycle())
+            for _ in range(schedule.batches):
+                meter.add(self.ddpg.update(self.sample_batch()))
+                self.updates += 1
+            self.ddpg.update_targets()
+            self.cycle += 1
+            if imagination and self.cycle % schedule.policy_copy_cycles == 0:
+                self.imagined.keep_copy(self.policy, self.cycle)
+            progress("update", (cycle + 1) * schedule.batches, schedule.cycles * schedule.batches)
+        seconds = time.perf_counter() - started
+        return meter.means() | {
+            "epoch": self.epoch,
+            "updates": self.updates,
+            "updates_per_second": schedule.cycles * schedule.batches / seconds,
+            "real_transitions": self.real_collected,
+            "imagined_transitions": self.imagined.collected,
+            "imagined_stored": self.imagined.level,
+            "imagined_share": self.imagined_share,
+        }
+
+    @property
+    def imagined_share(self) -> float:
+        """p(imag): newly imagined transitions over all transitions collected so far."""
+        if self.imagined.replay.num_episodes == 0:
+            return 0.0
+        return self.imagined.collected / (self.imagined.collected + self.real_collected)
+
+    def sample_batch(self) -> Transitions:
+        """Draw one batch from both sources, relabelled, with cached intrinsic rewards."""
+        size = self.config.schedule.workers * self.config.ddpg.batch_size
+        imagined = round(self.imagined_share * size)
+        counts = ((self.real, size - imagined), (self.imagined.replay, imagined))
+        return Transitions.concatenate([self._sample(r, count) for r, count in counts if count])
+
+    def _sample(self, replay: EpisodeReplay, count: int) -> Transitions:
+        fraction = self.config.replay.future_fraction
+        return replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+
+    def _train_dynamics(self, meter: Meter, progress: Progress) -> None:
+        schedule = self.config.schedule
+        steps = schedule.dynamics_steps
+        if self.epoch == 1:
+            steps *= schedule.first_epoch_dynamics_factor
+        self.ensemble.fit_normalizers(self.real)
+        batch_size = schedule.workers * self.config.dynamics.batch_size
+        for done in range(0, steps, DYNAMICS_CHUNK):
+            chunk = min(DYNAMICS_CHUNK, steps - done)
+            loss = self.ensemble.train(
+                self.real, chunk, batch_size=batch_size, generator=self.generator
+            )
+            progress("dynamics", done + chunk, steps)
+        meter.add({"dynamics_loss": loss})
+        if self.config.intrinsic.enabled:
+            reward = refresh_intrinsic(self.real, self.ensemble, self.config.intrinsic)
+            meter.add({"intrinsic_real": reward.mean()})
+            if not self.config.imagination.regenerate and self.imagined.replay.num_episodes:
+                refresh_intrinsic(self.imagined.replay, self.ensemble, self.config.intrinsic)
+
+    def _refill(self, progress: Progress) -> dict[str, float]:
+        return self.imagined.refill(
+            self.ensemble,
+            self.policy,
+            self.real.start_observations(),
+            epoch=self.epoch,
+            cycle=self.cycle,
+            progress=progress,
+        )
+
+    def _imagine_cycle(self) -> dict[str, float]:
+        starts = self.real.start_observations()
+        return self.imagined.imagine_cycle(self.ensemble, self.policy, starts, epoch=self.epoch)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that ``load_state_dict`` needs beside the real episodes: tensors and scalars."""
+        return {
+            "epoch": self.epoch,
+            "cycle": self.cycle,
+            "updates": self.updates,
+            "generator": self.generator.get_state(),
+            "policy": self.policy.snapshot(),
+            "ddpg": self.ddpg.state_dict(),
+            "ensemble": self.ensemble.state_dict(),
+            "imagined": self.imagined.state_dict(),
+        }
+
+    def load_state_dict(
+        self, state: dict[str, Any], episodes_by_epoch: Sequence[Sequence[Episode]]
+    ) -> None:
+        """Continue where another learner of the same settings was.
+
+        Args:
+            state: What its ``state_dict`` returned.
+            episodes_by_epoch: The real episodes of each finished epoch, in order.
+        """
+        self.real.clear()
+        self.real_collected = 0
+        for epoch, episodes in enumerate(episodes_by_epoch, start=1):
+            self._store_real(episodes, epoch)
+        self.epoch = state["epoch"]
+        self.cycle = state["cycle"]
+        self.updates = state["updates"]
+        self.generator.set_state(state["generator"].cpu())
+        self.policy.load_snapshot(state["policy"])
+        self.ddpg.load_state_dict(state["ddpg"])
+        self.ensemble.load_state_dict(state["ensemble"])
+        self.imagined.load_state_dict(state["imagined"])

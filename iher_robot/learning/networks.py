@@ -1,0 +1,35 @@
+"""Feed-forward networks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator) -> nn.Module:
+    """Multi-layer perceptron with ReLU between its layers.
+
+    The weights are drawn from ``generator`` with torch's default distribution, so that nothing
+    depends on the global seed.
+
+    Args:
+        inputs: Width of the input.
+        hidden: Widths of the hidden layers.
+        outputs: Width of the output, which is linear.
+        generator: Source of randomness, on the CPU.
+
+    Returns:
+        The network, on the CPU.
+    """
+    widths = [inputs, *hidden, outputs]
+    layers: list[nn.Module] = []
+    for fan_in, fan_out in zip(widths[:-1], widths[1:], strict=True):
+        layer = nn.Linear(fan_in, fan_out)
+        bound = fan_in**-0.5
+        with torch.no_grad():
+            for parameter in (layer.weight, layer.bias):
+                parameter.uniform_(-bound, bound, generator=generator)
+        layers += [layer, nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers[:-1])

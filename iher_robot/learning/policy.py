@@ -1,0 +1,165 @@
+"""The policy: everything needed to act, apart from what trains it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import nn
+
+from iher_robot.learning.config import ExplorationConfig, LearnerConfig
+from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
+from iher_robot.learning.networks import mlp
+from iher_robot.learning.normalizer import RunningNormalizer
+
+
+class Policy:
+    """Deterministic actor with its input normalisers.
+
+    Args:
+        shapes: Sizes of the arrays.
+        hidden: Widths of the actor's hidden layers.
+        source_input: Whether the actor is told its data's source.
+        normalizer_clip: See ``ReplayConfig``.
+        normalizer_std_floor: See ``ReplayConfig``.
+        generator: Draws the initial weights.
+        device: Where the policy computes.
+    """
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        *,
+        hidden: Sequence[int],
+        source_input: bool,
+        normalizer_clip: float,
+        normalizer_std_floor: float,
+        generator: torch.Generator,
+        device: torch.device,
+    ) -> None:
+        self.shapes = shapes
+        self.hidden = tuple(hidden)
+        self.source_input = source_input
+        self.device = device
+
+        def normalizer(dim: int) -> RunningNormalizer:
+            return RunningNormalizer(
+                dim, clip=normalizer_clip, std_floor=normalizer_std_floor, device=device
+            )
+
+        self.obs_normalizer = normalizer(shapes.obs_dim)
+        self.goal_normalizer = normalizer(shapes.goal_dim)
+        self.actor: nn.Module = mlp(self.input_dim, hidden, shapes.action_dim, generator).to(device)
+
+    @classmethod
+    def from_config(
+        cls,
+        shapes: Shapes,
+        config: LearnerConfig,
+        *,
+        generator: torch.Generator,
+        device: torch.device,
+    ) -> Policy:
+        """Build an untrained policy as the learner's settings say."""
+        return cls(
+            shapes,
+            hidden=config.ddpg.hidden,
+            source_input=config.ddpg.source_input,
+            normalizer_clip=config.replay.normalizer_clip,
+            normalizer_std_floor=config.replay.normalizer_std_floor,
+            generator=generator,
+            device=device,
+        )
+
+    @property
+    def input_dim(self) -> int:
+        """Width of the actor's input."""
+        sources = len(SOURCES) - 1 if self.source_input else 0
+        return self.shapes.obs_dim + self.shapes.goal_dim + sources
+
+    def features(
+        self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
+    ) -> torch.Tensor:
+        """Input of actor and critic: normalised observation and goal, and the source.
+
+        Args:
+            observation: ``(batch, obs_dim)``
+            goal: ``(batch, goal_dim)``
+            source: Index of each row's source. ``(batch,)``
+
+        Returns:
+            ``(batch, input_dim)``
+        """
+        parts = [self.obs_normalizer(observation), self.goal_normalizer(goal)]
+        if self.source_input:
+            parts.append(source_features(source))
+        return torch.cat(parts, dim=-1)
+
+    def action(self, features: torch.Tensor) -> torch.Tensor:
+        """Action for the features, in [-1, 1]. ``(batch, input_dim) -> (batch, action_dim)``"""
+        return torch.tanh(self.actor(features))
+
+    @torch.no_grad()
+    def act(
+        self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
+    ) -> torch.Tensor:
+        """Action without noise. ``(batch, obs_dim), (batch, goal_dim), (batch,)``"""
+        return self.action(self.features(observation, goal, source))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Copy of all that acting needs: tensors and plain values only."""
+        return {
+            "shapes": {name: getattr(self.shapes, name) for name in Shapes.__dataclass_fields__},
+            "hidden": list(self.hidden),
+            "source_input": self.source_input,
+            "normalizer_clip": self.obs_normalizer.clip,
+            "normalizer_std_floor": self.obs_normalizer.std_floor,
+            "actor": {name: t.detach().clone() for name, t in self.actor.state_dict().items()},
+            "obs_normalizer": self.obs_normalizer.state_dict(),
+            "goal_normalizer": self.goal_normalizer.state_dict(),
+        }
+
+    def load_snapshot(self, snapshot: dict[str, Any]) -> None:
+        """Take over the weights and statistics of a snapshot of the same shapes."""
+        self.actor.load_state_dict(snapshot["actor"])
+        self.obs_normalizer.load_state_dict(snapshot["obs_normalizer"])
+        self.goal_normalizer.load_state_dict(snapshot["goal_normalizer"])
+
+    @classmethod
+    def from_snapshot(cls, snapshot: dict[str, Any], *, device: torch.device) -> Policy:
+        """Build the policy that a snapshot holds."""
+        policy = cls(
+            Shapes(**snapshot["shapes"]),
+            hidden=snapshot["hidden"],
+            source_input=snapshot["source_input"],
+            normalizer_clip=snapshot["normalizer_clip"],
+            normalizer_std_floor=snapshot["normalizer_std_floor"],
+            generator=torch.Generator(),
+            device=device,
+        )
+        policy.load_snapshot(snapshot)
+        return policy
+
+
+def explore(
+    action: torch.Tensor, config: ExplorationConfig, generator: torch.Generator
+) -> torch.Tensor:
+    """Disturb actions for exploration, in real and imagined rollouts alike.
+
+    Gaussian noise, then a share of actions replaced by uniform ones (Plappert et al. 2018).
+
+    Args:
+        action: The policy's actions. ``(batch, action_dim)``
+        config: How strongly.
+        generator: Source of randomness, on the actions' device.
+
+    Returns:
+        Actions in [-1, 1]. ``(batch, action_dim)``
+    """
+    device = action.device
+    noise = torch.randn(action.shape, generator=generator, device=device)
+    noisy = (action + config.noise_std * noise).clamp(-1.0, 1.0)
+    uniform = 2.0 * torch.rand(action.shape, generator=generator, device=device) - 1.0
+    replace = torch.rand(len(action), 1, generator=generator, device=device)
+    return torch.where(replace < config.random_fraction, uniform, noisy)
