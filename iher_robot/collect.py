@@ -1,0 +1,145 @@
+"""Run episodes on a robot and hand every tick of them over, whatever ends them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from iher_robot.env import GoalRobotEnv, Observation
+from iher_robot.learning.config import ExplorationConfig
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import IMAGINED, REAL
+from iher_robot.learning.policy import Policy, explore
+
+
+Array = NDArray[np.floating]
+
+
+class Stream(IntEnum):
+    """Independent streams of episode seeds within a run."""
+
+    COLLECTION = 0
+    EVALUATION = 1
+    FINAL_EVALUATION = 2
+
+
+def episode_seed(run_seed: int, stream: Stream, index: int) -> int:
+    """Seed of one episode, which depends on nothing that happened before it.
+
+    So a resumed run draws the starts, goals and noise that it would have drawn.
+
+    Args:
+        run_seed: Seed of the run.
+        stream: What the episode is for.
+        index: Number of the episode within its stream, from 0.
+
+    Returns:
+        A seed below 2**32.
+    """
+    sequence = np.random.SeedSequence((run_seed, int(stream), index))
+    return int(sequence.generate_state(1, np.uint32)[0])
+
+
+class Recorder:
+    """Collects the ticks of one episode, so that none is lost if the episode is cut short.
+
+    Attributes:
+        ticks: Control ticks charged so far; the one in flight counts, since the robot may have
+            moved in it.
+        success: Whether the last step met the goal.
+    """
+
+    def __init__(self, observation: Observation) -> None:
+        """Start from the observation of a reset."""
+        self.ticks = 0
+        self.success = False
+        self._observations = [observation["observation"]]
+        self._goal = observation["desired_goal"]
+        self._applied: list[Array] = []
+        self._requested: list[Array] = []
+        self._valid: list[bool] = []
+
+    def step(self, env: GoalRobotEnv, action: Array) -> tuple[Observation, bool]:
+        """Step the robot by one control tick and record it.
+
+        Args:
+            env: The environment.
+            action: What the policy asks for, in [-1, 1]. ``(action_dim,)``
+
+        Returns:
+            The next observation, and whether the robot cannot go on.
+        """
+        self.ticks += 1
+        observation, _, _, truncated, info = env.step(action)
+        self.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
+        self._observations.append(observation["observation"])
+        self._requested.append(action)
+        self._applied.append(info["action_applied"])
+        self._valid.append(bool(info["tick_valid"]))
+        self.success = bool(info["is_success"]) and not truncated
+        return observation, truncated
+
+    def episode(self) -> Episode | None:
+        """The ticks recorded whole, as an episode; None before the first."""
+        if not self._applied:
+            return None
+        return Episode(
+            observations=np.stack(self._observations),
+            actions=np.stack(self._applied),
+            requested_actions=np.stack(self._requested),
+            valid=np.array(self._valid),
+            desired_goal=self._goal,
+        )
+
+
+def run_episode(
+    env: GoalRobotEnv,
+    policy: Policy,
+    *,
+    seed: int,
+    ticks: int,
+    exploration: ExplorationConfig | None,
+    on_end: Callable[[Recorder, int], None],
+) -> Recorder:
+    """Run one episode; ``on_end`` receives what was recorded however it ends.
+
+    Args:
+        env: The environment. It arms the robot at reset and is left held and disarmed.
+        policy: A policy on the CPU: one action at a time is no work for a GPU.
+        seed: Decides start, goal and noise.
+        ticks: Most ticks to run.
+        exploration: Noise on the actions, or None for none.
+        on_end: Called once with the recorder and the source that the policy was told, before
+            any exception goes on, an interrupt included.
+
+    Returns:
+        The recorder.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    told = REAL
+    if exploration is not None and torch.rand((), generator=generator) < exploration.source_flip:
+        told = IMAGINED
+    source = torch.tensor([told])
+    observation, _ = env.reset(seed=seed)
+    recorder = Recorder(observation)
+    stuck = False
+    try:
+        while recorder.ticks < ticks and not stuck:
+            action = policy.act(
+                torch.as_tensor(observation["observation"], dtype=torch.float32).unsqueeze(0),
+                torch.as_tensor(observation["desired_goal"], dtype=torch.float32).unsqueeze(0),
+                source,
+            )
+            if exploration is not None:
+                action = explore(action, exploration, generator)
+            observation, stuck = recorder.step(env, action[0].numpy())
+    finally:
+        try:
+            env.driver.disarm()
+        finally:
+            on_end(recorder, told)
+    return recorder

@@ -1,0 +1,133 @@
+"""Settings of a run: typed defaults, overlaid by a preset, an algorithm and ``--set``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from iher_robot.config_keys import Keys
+from iher_robot.config_source import (
+    Layer,
+    algorithm_layer,
+    format_yaml,
+    override_layer,
+    parse_mapping,
+    preset_layer,
+)
+from iher_robot.durable_file import read_file
+from iher_robot.errors import UserError
+from iher_robot.learning.config import LearnerConfig
+
+_CHOSEN = {"task": "--task", "preset": "--preset", "algo": "--algo"}
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class EvaluationConfig(_Section):
+    """How the policy is judged while it trains."""
+
+    every_epochs: int = Field(default=1, ge=1)
+    """Epochs from one evaluation to the next."""
+    episodes: int = Field(default=40, ge=1)
+    """Episodes of one evaluation."""
+
+
+class RunConfig(_Section):
+    """Everything that decides what a training run does."""
+
+    task: str = "push"
+    """What is learned."""
+    driver: str = "mujoco"
+    """What moves."""
+    preset: str = "default"
+    """Where the settings came from."""
+    algo: str = "iher"
+    """Which ingredients are switched on."""
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    """Decides every random draw."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where replay, models and policy live; auto takes a GPU if there is one."""
+    budget_minutes: float = Field(default=40.0, gt=0, allow_inf_nan=False)
+    """Robot minutes: control ticks times the control period."""
+    until_success: float | None = Field(default=1.0, gt=0, le=1)
+    """Stop early at this success rate; ``off`` spends the whole budget."""
+    evaluation: EvaluationConfig = EvaluationConfig()
+    learner: LearnerConfig = LearnerConfig()
+
+    @field_validator("until_success", mode="before")
+    @classmethod
+    def _off_is_none(cls, value: object) -> object:
+        return None if value == "off" else value
+
+
+_KEYS = Keys(RunConfig)
+
+
+def load_config(task: str, preset: str, algo: str, overrides: Sequence[str]) -> RunConfig:
+    """Resolve the settings of a new run; later layers win.
+
+    Args:
+        task: Name of the task.
+        preset: Name of a preset, or the path of a YAML file.
+        algo: Name of an algorithm.
+        overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
+
+    Returns:
+        Typed defaults, then the preset's file for the task, the algorithm's and the overrides.
+
+    Raises:
+        UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
+    """
+    layers = [preset_layer(preset, task), algorithm_layer(algo), *map(override_layer, overrides)]
+    for layer in layers:
+        for key, option in _CHOSEN.items():
+            if key in layer.values:
+                raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
+    chosen = Layer("command line", {"task": task, "preset": preset, "algo": algo})
+    return _resolve([*layers, chosen])
+
+
+def dump_config(config: RunConfig) -> str:
+    """Write every setting as YAML, for ``read_config``."""
+    return format_yaml(config.model_dump(mode="json"))
+
+
+def read_config(path: Path) -> RunConfig:
+    """Read what ``dump_config`` wrote; the result equals the dumped settings exactly.
+
+    Raises:
+        UserError: The file is missing, not valid YAML, or holds unknown keys or bad values.
+    """
+    return _resolve([Layer(str(path), parse_mapping(read_file(path, "config file"), str(path)))])
+
+
+def _resolve(layers: Sequence[Layer]) -> RunConfig:
+    values: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    for layer in layers:
+        for key, value in _KEYS.flatten(layer).items():
+            values[key], origins[key] = value, layer.origin
+            if _has_non_finite(value):
+                raise UserError(_KEYS.out_of_range(key, value, layer.origin))
+    try:
+        # Through JSON, for its strict mode: a list is a tuple, but true is no number and "3" is
+        # no integer.
+        text = json.dumps(_KEYS.nest(values), default=str)
+        return RunConfig.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        raise UserError("; ".join(_KEYS.explain(error, origins))) from None
+
+
+def _has_non_finite(value: object) -> bool:
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    if isinstance(value, Mapping):
+        return any(map(_has_non_finite, value.values()))
+    return isinstance(value, list) and any(map(_has_non_finite, value))

@@ -1,0 +1,313 @@
+"""The Gymnasium goal environment: a driver, a task and a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from drivers import (
+    Refusal,
+    Renderable,
+    ResetOutcome,
+    RobotDriver,
+    RobotSpec,
+    RobotState,
+    StaleState,
+    make_driver,
+)
+from iher_robot.controller import Controller, EndEffectorController
+from iher_robot.errors import UserError
+from iher_robot.registration import register_envs
+from iher_robot.tick import Tick, judge_tick
+from tasks import GoalTask, make_task
+
+Observation = dict[str, Any]  # what gymnasium types a Dict space as
+Info = dict[str, Any]
+
+_PICTURE_SIZE = (640, 480)
+_GATE_CLOSED = (Refusal.DISARMED, Refusal.LATCHED)
+
+
+class ResetFailed(RuntimeError):
+    """The robot could not be brought to the start of an episode."""
+
+
+class EpisodeAborted(RuntimeError):
+    """An episode could not go on; the robot is held and disarmed. `reset` starts the next."""
+
+
+class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
+    """A robot with a goal. One step is exactly one control tick.
+
+    The robot is armed by `reset`, for one episode; `close`, leaving a ``with`` block, an
+    aborted episode and any error leave it held and disarmed. It is opened by the first
+    `reset`, so that the spaces are known without a connection.
+
+    What a step reports in `info`:
+
+    - ``is_success``: 1.0 if the goal is reached, else 0.0.
+    - ``action_applied``: The action that was really applied; learn from this one. It is
+      the requested one, cut to [-1, 1], wherever the robot clipped nothing.
+    - ``tick_valid``: Whether the tick may be learned from. A tick that was held, dropped or
+      late is charged to the budget (``ticks``) and may not.
+    - ``clipped``: Why the robot clipped the command.
+    - ``refusal``: Why the command was refused, or None.
+
+    A stop from outside, or more invalid ticks than allowed, ends the episode with
+    `EpisodeAborted`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
+
+    def __init__(
+        self,
+        driver: RobotDriver,
+        task: GoalTask,
+        controller: Controller | None = None,
+        render_mode: str | None = None,
+        max_invalid_ticks: int = 5,
+        ask_human: Callable[[str], None] | None = None,
+    ) -> None:
+        """Put a task on a robot.
+
+        Args:
+            driver: The robot, open or not.
+            task: The task; it is bound to the robot here.
+            controller: Makes commands from actions; by default the one for end-effector
+                displacements.
+            render_mode: ``"rgb_array"`` or None.
+            max_invalid_ticks: Past this many invalid ticks an episode aborts.
+            ask_human: Called with what a person has to do; returns when it is done and hands
+                are clear. Without it a reset that needs a person is an error.
+
+        Raises:
+            UserError: If the robot takes no command of the controller's kind, or cannot render.
+        """
+        self.driver = driver
+        self.task = task.bind(driver.spec)
+        self.controller: Controller = (
+            EndEffectorController(task.blocks_gripper) if controller is None else controller
+        )
+        self._require_command_kind()
+        if render_mode is not None and not isinstance(driver, Renderable):
+            raise UserError(f"driver {driver.spec.name} renders no pictures; use render_mode=None")
+        self.render_mode = render_mode
+        self._max_invalid_ticks = max_invalid_ticks
+        self._ask_human = ask_human
+        goal = spaces.Box(-np.inf, np.inf, (self.task.goal_dim,), np.float64)
+        observation = spaces.Box(-np.inf, np.inf, (self.task.layout.obs_dim,), np.float64)
+        self.observation_space = spaces.Dict(
+            {"observation": observation, "achieved_goal": goal, "desired_goal": goal}
+        )
+        self.action_space = spaces.Box(-1.0, 1.0, (driver.spec.action.dim,), np.float32)
+        self.episode_ticks = self.task.episode_ticks
+        self._goal = np.zeros(self.task.goal_dim)
+        self._state: RobotState | None = None
+        self._invalid_ticks = 0
+
+    @property
+    def robot_spec(self) -> RobotSpec:
+        """Description of the robot. Gymnasium keeps a specification of its own in `spec`."""
+        return self.driver.spec
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
+        """Bring the robot to a new start, draw a goal from it as measured, and arm.
+
+        Args:
+            seed: Seeds the draws of starts and goals.
+            options: None is taken.
+
+        Returns:
+            The observation and an empty info.
+
+        Raises:
+            ResetFailed: If the robot cannot get there, or needs a person and has none.
+            FaultLatched: If the robot is stopped.
+        """
+        super().reset(seed=seed, options=options)
+        if not self.driver.is_open:
+            self.driver.open()
+        self.hold()
+        try:
+            self._bring_to_start()
+            self._invalid_ticks = 0
+            self.driver.arm()
+            self._state = self.driver.read()
+        except BaseException:
+            self.hold()
+            raise
+        observation = self.task.observation(self._state)
+        self._goal = self.task.goal_model.sample_goal(self.np_random, observation[None])[0]
+        return self._observe(observation), {}
+
+    def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, Info]:
+        """Run one control tick.
+
+        Args:
+            action: dx, dy, dz, gripper, cut to [-1, 1]. ``(4,)``
+
+        Returns:
+            Observation, reward, terminated and truncated (never: the registered ids bring a
+            time limit) and info.
+
+        Raises:
+            InvalidCommand: If the action is not finite.
+            EpisodeAborted: If the robot was stopped or disarmed, or too many ticks were
+                invalid. The tick that showed it counts as begun.
+        """
+        before = self._state
+        if before is None:
+            raise gym.error.ResetNeeded("step before reset; call reset first")
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(
+                f"action has shape {np.shape(action)}, allowed: {self.action_space.shape}"
+            )
+        assert isinstance(self.action_space, spaces.Box)
+        requested = np.clip(action, self.action_space.low, self.action_space.high)
+        try:
+            command = self.controller.command(requested, before, self.robot_spec)
+            acceptance = self.driver.command(command)
+            self.driver.advance()
+            after = self._read_or_keep(before)
+        except BaseException:
+            self.hold()
+            raise
+        self._state = after
+        tick = judge_tick(requested, before, after, acceptance, self.controller, self.robot_spec)
+        self._abort_if_lost(tick)
+        observation = self._observe(self.task.observation(after))
+        achieved = observation["achieved_goal"]
+        reward = float(self.task.goal_model.compute_reward(achieved, self._goal))
+        success = float(self.task.is_success(achieved, self._goal))
+        return observation, reward, False, False, {"is_success": success} | tick.info()
+
+    def compute_reward(
+        self,
+        achieved_goal: NDArray[np.floating],
+        desired_goal: NDArray[np.floating],
+        info: object,  # noqa: ARG002 - part of the interface of a goal environment
+    ) -> NDArray[np.floating]:
+        """Return the sparse reward; leading axes are a batch.
+
+        Args:
+            achieved_goal: ``(..., goal_dim)``
+            desired_goal: ``(..., goal_dim)``
+            info: Not used.
+
+        Returns:
+            0 within the threshold, else -1. ``(...,)``
+        """
+        return self.task.goal_model.compute_reward(achieved_goal, desired_goal)
+
+    def policy_interface(self) -> dict[str, Any]:
+        """Return what a policy file must carry to be run again, as plain JSON data."""
+        spec = self.robot_spec
+        return {
+            "task": self.task.name,
+            "layout": self.task.layout.to_dict(),
+            "layout_digest": self.task.layout.digest(),
+            "interface_digest": spec.interface_digest,
+            "body_digest": spec.body_digest,
+            "spec": spec.to_dict(),
+            "controller": dict(self.controller.settings),
+        }
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the scene with the goal, None without a render mode."""
+        if self.render_mode is None:
+            return None
+        assert isinstance(self.driver, Renderable)
+        width, height = _PICTURE_SIZE
+        return self.driver.render(width, height, self._goal)
+
+    def hold(self) -> None:
+        """Hold and disarm, until the next `reset`."""
+        self.driver.disarm()
+        self._state = None
+
+    def close(self) -> None:
+        """Hold, disarm and disconnect."""
+        self.driver.close()
+        self._state = None
+
+    def _require_command_kind(self) -> None:
+        if self.controller.kind not in self.robot_spec.command_kinds:
+            raise UserError(
+                f"the controller makes {self.controller.kind!r} commands, "
+                f"{self.robot_spec.name} takes: {', '.join(self.robot_spec.command_kinds)}"
+            )
+
+    def _bring_to_start(self) -> None:
+        request = self.task.reset_request(self.np_random)
+        result = self.driver.reset(request)
+        while result.outcome is ResetOutcome.NEEDS_HUMAN and self._ask_human is not None:
+            self._ask_human(result.message)
+            self.driver.confirm_hands_clear()
+            result = self.driver.reset(request)
+        if result.outcome is not ResetOutcome.DONE:
+            raise ResetFailed(
+                f"reset of {self.robot_spec.name} ended as {result.outcome}: {result.message}"
+            )
+
+    def _read_or_keep(self, before: RobotState) -> RobotState:
+        try:
+            return self.driver.read()
+        except StaleState:
+            return before  # the tick is dropped: its sequence shows that it is not a new one
+
+    def _observe(self, observation: NDArray[np.float64]) -> Observation:
+        return {
+            "observation": observation,
+            "achieved_goal": self.task.goal_model.achieved_goal(observation).copy(),
+            "desired_goal": self._goal.copy(),
+        }
+
+    def _abort_if_lost(self, tick: Tick) -> None:
+        self._invalid_ticks += not tick.valid
+        refusal = tick.acceptance.refusal
+        if refusal in _GATE_CLOSED:
+            reason = tick.acceptance.message
+        elif not self.driver.is_armed:
+            reason = "the robot was disarmed during the tick"
+        elif self._invalid_ticks > self._max_invalid_ticks:
+            reason = f"{self._invalid_ticks} invalid ticks, allowed: {self._max_invalid_ticks}"
+        else:
+            return
+        self.hold()
+        raise EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {reason}")
+
+
+def make_env(
+    task_name: str,
+    driver_name: str = "mujoco",
+    render_mode: str | None = None,
+    **driver_options: Any,
+) -> GoalRobotEnv:
+    """Make the environment of a task on a driver.
+
+    Args:
+        task_name: Name of the task.
+        driver_name: Name of the driver.
+        render_mode: ``"rgb_array"`` or None.
+        driver_options: For the driver; the scene is the task's unless it is given.
+
+    Returns:
+        The environment, not yet connected.
+
+    Raises:
+        UnknownTask: If there is no such task.
+        UnknownDriver: If there is no such driver.
+    """
+    task = make_task(task_name)
+    driver = make_driver(driver_name, **({"scene": task.scene} | driver_options))
+    return GoalRobotEnv(driver, task, render_mode=render_mode)
+
+
+register_envs()

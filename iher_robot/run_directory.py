@@ -1,0 +1,171 @@
+"""The folder of a training run: what lies where, and its metrics."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from iher_robot.durable_file import read_file, write_atomically
+from iher_robot.errors import UserError
+
+Row = Mapping[str, Any]
+
+
+class RunDirectory:
+    """Paths of a run, whose folder exists; make one by ``create`` or ``open``.
+
+    Args:
+        path: The run's folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_path = path / "config.yaml"
+        self.provenance_path = path / "provenance.json"
+        self.ledger_path = path / "ledger.sqlite"
+        self.episodes_path = path / "episodes"
+        self.checkpoint_path = path / "checkpoint.pt"
+        self.metrics_path = path / "metrics.jsonl"
+        self.policy_path = path / "policy.pt"
+        self.tensorboard_path = path / "tensorboard"
+        self.plot_path = path / "success.png"
+
+    @classmethod
+    def create(cls, path: Path, config_text: str) -> RunDirectory:
+        """Start a new run's folder and keep its settings there.
+
+        Args:
+            path: A folder that does not exist yet, or is empty.
+            config_text: From ``dump_config``.
+
+        Raises:
+            UserError: The folder holds something, is a file, or cannot be written.
+        """
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if any(path.iterdir()):
+                raise UserError(
+                    f"run folder {path} is not empty; continue its run with --resume {path}, or "
+                    "choose another folder with --out"
+                )
+        except FileExistsError:
+            raise UserError(f"run folder {path} is a file; choose another with --out") from None
+        except OSError as error:
+            raise UserError(
+                f"cannot make run folder {path}: {error.strerror or error}; choose another with "
+                "--out"
+            ) from error
+        directory = cls(path)
+        write_atomically(directory.config_path, lambda file: file.write(config_text.encode()))
+        return directory
+
+    @classmethod
+    def open(cls, path: Path) -> RunDirectory:
+        """Open the folder of a run that was started earlier, to resume it.
+
+        Raises:
+            UserError: There is none, or what it spent is not known.
+        """
+        directory = cls(path)
+        if not path.is_dir():
+            raise UserError(f"there is no run folder at {path}")
+        for needed in (directory.config_path, directory.ledger_path):
+            # Without its ledger a run would spend its budget a second time.
+            if not needed.is_file():
+                raise UserError(f"{path} is no run that can be resumed: it has no {needed.name}")
+        return directory
+
+    def append_metrics(self, row: Row) -> None:
+        """Add one line to the metrics; numbers that are not finite become null.
+
+        Args:
+            row: What was measured in an epoch; numpy and torch scalars are taken as numbers.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk.
+        """
+        line = json.dumps({name: _plain(value) for name, value in row.items()}, allow_nan=False)
+        try:
+            with self.metrics_path.open("a+b") as file:
+                _drop_torn_line(file.fileno())
+                file.write(line.encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            reason = error.strerror or error
+            raise UserError(f"cannot write {self.metrics_path}: {reason}") from error
+
+    def read_metrics(self) -> list[dict[str, Any]]:
+        """All lines of the metrics; one that a crash cut off is left out.
+
+        Raises:
+            UserError: A line is damaged.
+        """
+        if not self.metrics_path.exists():
+            return []
+        *lines, _ = read_file(self.metrics_path, "metrics file").split(b"\n")
+        rows = []
+        for number, line in enumerate(lines, start=1):
+            try:
+                row = json.loads(line)
+            except (ValueError, RecursionError) as error:
+                raise UserError(f"{self.metrics_path}, line {number}: {error}") from error
+            if not isinstance(row, dict):
+                raise UserError(f"{self.metrics_path}, line {number}: expected an object")
+            rows.append(row)
+        return rows
+
+    def keep_metrics_until(self, epoch: int) -> None:
+        """Drop metrics of epochs after a checkpoint's, which a resumed run measures again.
+
+        Args:
+            epoch: Last epoch to keep; rows without ``epoch`` are dropped.
+        """
+        kept = [row for row in self.read_metrics() if row.get("epoch", math.inf) <= epoch]
+        text = "".join(json.dumps(row) + "\n" for row in kept)
+        write_atomically(self.metrics_path, lambda file: file.write(text.encode()))
+
+
+def default_run_path(
+    task: str,
+    algo: str,
+    preset: str,
+    seed: int,
+    root: Path = Path("runs"),
+    now: datetime | None = None,
+) -> Path:
+    """Name of a run's folder if none is given, such as ``push-iher-default-seed0-20250131-120000``.
+
+    Args:
+        task: Name of the task.
+        algo: Name of the algorithm.
+        preset: Name of the preset, or the path of a file, of which the stem is used.
+        seed: The run's seed.
+        root: Folder of all runs.
+        now: When the run starts, by default at this moment.
+    """
+    moment = (now or datetime.now()).strftime("%Y%m%d-%H%M%S")
+    return root / f"{task}-{algo}-{Path(preset).stem}-seed{seed}-{moment}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _drop_torn_line(descriptor: int) -> None:
+    """Cut off what a crash left of a line, or the next one would be appended to it."""
+    size = os.fstat(descriptor).st_size
+    content = os.pread(descriptor, size, 0)
+    if not content.endswith(b"\n"):
+        os.ftruncate(descriptor, content.rfind(b"\n") + 1)

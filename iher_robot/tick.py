@@ -1,0 +1,74 @@
+"""What happened in one control tick, as learning and the budget must see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import Acceptance, RobotSpec, RobotState
+from iher_robot.controller import Controller
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """One control tick.
+
+    Attributes:
+        action_applied: The action that was really applied, in [-1, 1]; zeros if none was.
+            ``(action_dim,)``
+        valid: Whether it may be learned from: the command answered the state before, was in
+            force in this very tick, and no tick is missing in between.
+        elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
+        clipped: Why the robot clipped the command.
+        acceptance: What the robot said to the command.
+    """
+
+    action_applied: NDArray[np.float32]
+    valid: bool
+    elapsed: int
+    clipped: tuple[str, ...]
+    acceptance: Acceptance
+
+    def info(self) -> dict[str, object]:
+        """Return what an environment reports of it."""
+        refusal = self.acceptance.refusal
+        return {
+            "action_applied": self.action_applied,
+            "tick_valid": self.valid,
+            "ticks": self.elapsed,
+            "clipped": self.clipped,
+            "refusal": None if refusal is None else refusal.value,
+        }
+
+
+def judge_tick(
+    requested: NDArray[np.floating],
+    before: RobotState,
+    after: RobotState,
+    acceptance: Acceptance,
+    controller: Controller,
+    spec: RobotSpec,
+) -> Tick:
+    """Compare what was asked with what the robot says it did.
+
+    Args:
+        requested: The action, in [-1, 1]. ``(action_dim,)``
+        before: The state that the command answered.
+        after: The state at the end of the tick; the same as before if none came.
+        acceptance: What the robot said to the command.
+        controller: Made the command.
+        spec: The robot.
+    """
+    elapsed = after.seq - before.seq
+    applied = after.applied
+    # Copied: callers may go on writing into the array that they passed in.
+    action = np.array(requested, dtype=np.float32)
+    if applied is None or applied.tick != after.seq or elapsed < 1:
+        return Tick(np.zeros_like(action), False, max(1, elapsed), (), acceptance)
+    if applied.clipped:
+        # Only then: a round trip through metres would cost the last bits of the action.
+        action = controller.applied_action(applied, spec)
+    valid = elapsed == 1 and applied.command.answers == before.seq
+    return Tick(action, valid, elapsed, applied.clipped, acceptance)

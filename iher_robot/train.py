@@ -1,0 +1,150 @@
+"""Train a policy within a budget of robot minutes: the application behind ``iher-robot train``."""
+
+from __future__ import annotations
+
+import datetime
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch.utils.tensorboard import SummaryWriter
+
+from iher_robot.callable_module import make_module_callable
+from iher_robot.config import dump_config, load_config, read_config
+from iher_robot.display import TrainingDisplay
+from iher_robot.ledger import Ledger
+from iher_robot.provenance import collect_provenance, write_provenance
+from iher_robot.run_directory import RunDirectory, default_run_path
+from iher_robot.training_run import TrainingRun
+from iher_robot.workcell import Workcell, open_workcell
+from tasks import canonical_name
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """How a run ended.
+
+    Attributes:
+        directory: The run folder.
+        policy: The policy file.
+        success_rate: Success of the last evaluation.
+        robot_minutes: Robot minutes spent.
+        budget_minutes: Robot minutes granted.
+        wall_seconds: Wall-clock time, interruptions left out.
+        epochs: Epochs done.
+        plot: The plot of success against robot minutes.
+    """
+
+    directory: Path
+    policy: Path
+    success_rate: float
+    robot_minutes: float
+    budget_minutes: float
+    wall_seconds: float
+    epochs: int
+    plot: Path
+
+    def summary(self) -> str:
+        """The result in a few lines."""
+        wall = datetime.timedelta(seconds=round(self.wall_seconds))
+        return (
+            f"{self.success_rate:.0%} success in the last evaluation, after "
+            f"{self.robot_minutes:.2f} of {self.budget_minutes:g} robot minutes, "
+            f"{self.epochs} epochs, {wall} of wall clock\n"
+            f"policy  {self.policy}\n"
+            f"plot    {self.plot}\n"
+            f"check   iher-robot evaluate {self.policy} --episodes 100 --official"
+        )
+
+
+def train(
+    *,
+    task: str,
+    driver: str = "mujoco",
+    preset: str = "default",
+    algo: str = "iher",
+    budget_minutes: float | None = None,
+    overrides: Sequence[str] = (),
+    seed: int = 0,
+    out: Path | None = None,
+    until_success: float | None = 1.0,
+    device: str = "auto",
+    display: bool = True,
+) -> TrainResult:
+    """Learn a task within a budget of robot minutes.
+
+    Args:
+        task: Name of the task.
+        driver: Name of the robot driver.
+        preset: Name of a preset, or the path of a YAML file.
+        algo: ``iher``, or a model-free baseline.
+        budget_minutes: Robot minutes to spend; the preset's where None.
+        overrides: Settings to change, ``key=value`` each.
+        seed: Decides every random draw.
+        out: Run folder to make; by default a new one under ``runs``.
+        until_success: Stop when the last two evaluations reach this rate; None never stops.
+        device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
+        display: Show progress while it runs.
+
+    Returns:
+        How the run ended.
+
+    Raises:
+        UserError: Bad input; nothing has moved.
+    """
+    task = canonical_name(task)
+    layers = [f"driver={driver}", f"seed={seed}", f"device={device}"]
+    layers.append(f"until_success={'off' if until_success is None else until_success}")
+    if budget_minutes is not None:
+        layers.append(f"budget_minutes={budget_minutes}")
+    config = load_config(task, preset, algo, [*layers, *overrides])
+    path = out or default_run_path(task, algo, preset, config.seed)
+    # The robot is made first: a bad driver or budget should leave no folder behind.
+    with open_workcell(config) as cell:
+        directory = RunDirectory.create(path, dump_config(config))
+        return _run(cell, directory, display)
+
+
+def resume(directory: Path, *, display: bool = True) -> TrainResult:
+    """Continue a stopped run to its budget, as it was configured.
+
+    Args:
+        directory: The run folder.
+        display: Show progress while it runs.
+
+    Returns:
+        How the run ended.
+
+    Raises:
+        UserError: The folder holds no run, or a damaged one.
+    """
+    opened = RunDirectory.open(directory)
+    config = read_config(opened.config_path)
+    with open_workcell(config) as cell:
+        return _run(cell, opened, display)
+
+
+def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
+    config = cell.config
+    provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
+    with ExitStack() as stack:
+        ledger = stack.enter_context(Ledger(directory.ledger_path))
+        write_provenance(directory.provenance_path, provenance)
+        writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
+        shown = stack.enter_context(TrainingDisplay(config.budget_minutes, enabled=display))
+        last = TrainingRun(cell, directory, ledger, shown, writer, provenance).run()
+    return TrainResult(
+        directory=directory.path,
+        policy=directory.policy_path,
+        success_rate=last["success"],
+        robot_minutes=last["robot_minutes"],
+        budget_minutes=config.budget_minutes,
+        wall_seconds=last["wall_seconds"],
+        epochs=int(last["epoch"]),
+        plot=directory.plot_path,
+    )
+
+
+make_module_callable(__name__)

@@ -1,0 +1,256 @@
+"""One training run: collect, learn, evaluate, keep; until the budget or the goal is reached."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.tensorboard import SummaryWriter
+
+from iher_robot.checkpoint import load_checkpoint, save_checkpoint
+from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
+from iher_robot.display import TrainingDisplay
+from iher_robot.episode_store import EpisodeStore
+from iher_robot.errors import UserError
+from iher_robot.evaluation import run_evaluation
+from iher_robot.learning.config import ExplorationConfig
+from iher_robot.learning.diagnostics import diagnose
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.policy import Policy
+from iher_robot.ledger import Account, Budget, Entry, Ledger
+from iher_robot.plot import plot_success
+from iher_robot.policy_file import save_policy
+from iher_robot.run_directory import RunDirectory
+from iher_robot.trained_policy import trained_policy
+from iher_robot.workcell import Workcell
+
+CPU = torch.device("cpu")
+MOVED_M = 0.01
+"""Displacement of the achieved goal from which an episode counts as one that moved it."""
+
+Row = dict[str, float]
+
+
+class TrainingRun:
+    """The training loop with everything that it writes to.
+
+    Args:
+        cell: Robot and learner.
+        directory: The run folder; if it holds a checkpoint, the run goes on from there.
+        ledger: Accounts of the run.
+        display: Shows progress.
+        writer: TensorBoard scalars.
+        provenance: Where the run comes from.
+    """
+
+    def __init__(
+        self,
+        cell: Workcell,
+        directory: RunDirectory,
+        ledger: Ledger,
+        display: TrainingDisplay,
+        writer: SummaryWriter,
+        provenance: dict[str, Any],
+    ) -> None:
+        self.config = cell.config
+        self.cell = cell
+        self.learner = cell.learner
+        self.directory = directory
+        self.ledger = ledger
+        self.budget = Budget(ledger, cell.budget_ticks)
+        self.store = EpisodeStore(directory.episodes_path)
+        self.display = display
+        self.writer = writer
+        self.provenance = provenance
+        self.rows: list[Row] = []
+        self.collected = 0
+        self.pending: list[Episode] = []
+        self.seconds_before = 0.0
+        self.started = time.monotonic()
+
+    def run(self) -> Row:
+        """Train until the budget is spent or the success rate is reached.
+
+        Returns:
+            The last row of metrics.
+
+        Raises:
+            UserError: The budget is spent and left nothing to learn from.
+        """
+        self._restore()
+        while not self._done():
+            self._collect()
+            if not self.pending:
+                raise UserError(
+                    f"the budget of {self.directory.path} is spent, but it holds no episode to "
+                    "learn from; start a new run with another --out"
+                )
+            self._learn()
+        return self.rows[-1]
+
+    def _restore(self) -> None:
+        """Bring back what the run folder holds; episodes of an unfinished epoch stay pending."""
+        state = load_checkpoint(self.directory.checkpoint_path)
+        finished = 0 if state is None else int(state["learner"]["epoch"])
+        self.directory.keep_metrics_until(finished)
+        self.rows = self.directory.read_metrics()
+        by_epoch: dict[int, list[Episode]] = defaultdict(list)
+        for stored in self.store:
+            if stored.account == "motion":
+                by_epoch[stored.epoch].append(stored.episode)
+                self.collected += 1
+        self.pending = by_epoch[finished + 1]
+        if state is not None:
+            epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
+            self.learner.load_state_dict(state["learner"], epochs)
+            self.seconds_before = float(state["run"]["wall_seconds"])
+
+    def _done(self) -> bool:
+        rates = [row["success"] for row in self.rows if "success" in row][-2:]
+        wanted = self.config.until_success
+        if wanted is not None and len(rates) == 2 and min(rates) >= wanted:
+            return True
+        return self._spent and not self.pending and bool(self.rows)
+
+    @property
+    def _spent(self) -> bool:
+        return self.budget.remaining_ticks == 0
+
+    @property
+    def _minutes(self) -> float:
+        return self.budget.spent_ticks * self.cell.env.driver.spec.control_period_s / 60.0
+
+    def _collect(self) -> None:
+        """Collect the epoch's real episodes, as far as the budget goes."""
+        wanted = self.config.learner.schedule.real_episodes
+        policy = Policy.from_snapshot(self.learner.policy.snapshot(), device=CPU)
+        while len(self.pending) < wanted and not self._spent:
+            self.display.phase("collect", len(self.pending), wanted)
+            ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
+            recorder = self._robot_episode(
+                "motion",
+                self.budget.reserve(ticks),
+                policy,
+                seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
+                ticks=ticks,
+                exploration=self.config.learner.exploration,
+            )
+            self.collected += 1
+            episode = recorder.episode()
+            if episode is not None:
+                self.pending.append(episode)
+            self.display.minutes(self._minutes)
+
+    def _robot_episode(
+        self,
+        account: Account,
+        reservation: AbstractContextManager[Entry],
+        policy: Policy,
+        *,
+        seed: int,
+        ticks: int,
+        exploration: ExplorationConfig | None,
+    ) -> Recorder:
+        """Run an episode that is charged and kept, whatever ends it."""
+        with reservation as entry:
+
+            def keep(recorder: Recorder, told_source: int) -> None:
+                episode = recorder.episode()
+                if episode is not None:
+                    self.store.append(
+                        episode,
+                        epoch=self.learner.epoch + 1,
+                        told_source=told_source,
+                        account=account,
+                    )
+                entry.settle(recorder.ticks)
+
+            return run_episode(
+                self.cell.env,
+                policy,
+                seed=seed,
+                ticks=ticks,
+                exploration=exploration,
+                on_end=keep,
+            )
+
+    def _learn(self) -> None:
+        """Learn from the epoch's episodes, evaluate, and write everything down."""
+        self.learner.add_real(self.pending)
+        row: Row = {
+            "robot_minutes": self._minutes,
+            "episodes": self.collected,
+            "object_moved": float(np.mean([self._moved(e) for e in self.pending])),
+        }
+        row |= self.learner.learn(self.display.phase)
+        if self._spent or self.learner.epoch % self.config.evaluation.every_epochs == 0:
+            row |= self._evaluate()
+        self.pending = []
+        row["wall_seconds"] = self.seconds_before + time.monotonic() - self.started
+        self.rows.append(row)
+        self._write(row)
+
+    def _moved(self, episode: Episode) -> bool:
+        achieved = self.cell.env.task.goal_model.achieved_goal(episode.observations)
+        return bool(np.linalg.norm(achieved - achieved[0], axis=-1).max() > MOVED_M)
+
+    def _evaluate(self) -> Row:
+        """Success rate without noise, and what the models make of the same episodes."""
+        count = self.config.evaluation.episodes
+        # Its number follows from the epoch, so that a resumed run draws the same episodes.
+        first = self.learner.epoch * count
+        seeds = [episode_seed(self.config.seed, Stream.EVALUATION, first + i) for i in range(count)]
+        policy = Policy.from_snapshot(self.learner.policy.snapshot(), device=CPU)
+        ticks = self.cell.env.task.episode_ticks
+
+        def run_one(seed: int) -> Recorder:
+            if self.cell.simulator is None:
+                reservation = self.ledger.reserve("evaluation", ticks)
+                return self._robot_episode(
+                    "evaluation", reservation, policy, seed=seed, ticks=ticks, exploration=None
+                )
+            return run_episode(
+                self.cell.simulator,
+                policy,
+                seed=seed,
+                ticks=ticks,
+                exploration=None,
+                on_end=lambda recorder, told_source: None,
+            )
+
+        evaluation = run_evaluation(
+            run_one, seeds, lambda done, successes: self.display.phase("evaluate", done, count)
+        )
+        return {"success": evaluation.success_rate} | diagnose(self.learner, evaluation.episodes)
+
+    def _write(self, row: Row) -> None:
+        # Metrics first: on resume, rows newer than the checkpoint are cut off again.
+        self.directory.append_metrics(row)
+        for name, value in row.items():
+            self.writer.add_scalar(name, value, int(row["epoch"]))
+        self.writer.flush()
+        save_policy(
+            self.directory.policy_path,
+            trained_policy(self.learner.policy, self.cell.env, self.config, self.provenance, row),
+        )
+        save_checkpoint(
+            self.directory.checkpoint_path,
+            self.learner.state_dict(),
+            {"wall_seconds": row["wall_seconds"]},
+        )
+        self._plot()
+        self.display.epoch(row)
+
+    def _plot(self) -> None:
+        config = self.config
+        label = f"{config.algo}, preset {config.preset}"
+        plot_success(
+            {label: self.rows},
+            self.directory.plot_path,
+            title=f"{config.task} on {config.driver}",
+            subtitle=f"seed {config.seed}, commit {self.provenance['commit'][:10]}",
+        )

@@ -1,0 +1,83 @@
+"""What a training run works with: the robot, a simulator to evaluate in, and the learner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import torch
+
+from iher_robot.config import RunConfig
+from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.errors import UserError
+from iher_robot.learning.goal_model import Shapes
+from iher_robot.learning.learner import Learner
+from iher_robot.ledger import budget_ticks
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """Robot and learner of a run.
+
+    Attributes:
+        config: Settings of the run.
+        env: The robot.
+        simulator: Where the policy is evaluated free of charge; None on a physical robot.
+        learner: The learner.
+        budget_ticks: Control ticks that the budget grants.
+    """
+
+    config: RunConfig
+    env: GoalRobotEnv
+    simulator: GoalRobotEnv | None
+    learner: Learner
+    budget_ticks: int
+
+
+@contextmanager
+def open_workcell(config: RunConfig) -> Iterator[Workcell]:
+    """Make robot and learner, and leave the robot held and disarmed in the end.
+
+    Args:
+        config: Settings of the run.
+
+    Yields:
+        The workcell.
+
+    Raises:
+        UserError: A setting that this machine or this robot cannot meet.
+    """
+    device = pick_device(config.device)
+    torch.set_float32_matmul_precision(config.learner.matmul_precision)
+    with ExitStack() as stack:
+        env = stack.enter_context(make_env(config.task, config.driver))
+        simulator = None
+        if not env.driver.spec.physical:
+            simulator = stack.enter_context(make_env(config.task, config.driver))
+        shapes = Shapes(
+            obs_dim=env.task.layout.obs_dim,
+            goal_dim=env.task.goal_dim,
+            action_dim=len(env.driver.spec.action.names),
+            episode_ticks=env.task.episode_ticks,
+        )
+        learner = Learner(
+            shapes, env.task.goal_model, config.learner, seed=config.seed, device=device
+        )
+        ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
+        yield Workcell(config, env, simulator, learner, ticks)
+
+
+def pick_device(name: str) -> torch.device:
+    """Resolve ``auto`` to the GPU if there is one.
+
+    Args:
+        name: ``auto``, ``cpu`` or ``cuda``.
+
+    Raises:
+        UserError: ``cuda`` is asked for and there is none.
+    """
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise UserError("device is 'cuda', but torch finds no GPU here; use auto or cpu")
+    return torch.device("cuda" if available and name != "cpu" else "cpu")

@@ -1,0 +1,260 @@
+"""The command line: what it passes on, and one sentence with exit code 2 for bad input."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+import torch
+
+import iher_robot
+from iher_robot.cli import main
+
+Run = Callable[..., "Outcome"]
+
+# Bad input is refused before anything moves; a test that finds it is not, ends soon all the same.
+ONE_EPISODE = ("--budget-minutes", "0.04")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one invocation of the command line did."""
+
+    code: object
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """Run the command line in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def invoke(*words: str) -> Outcome:
+        with pytest.raises(SystemExit) as stopped:
+            main(words)
+        printed = capsys.readouterr()
+        return Outcome(stopped.value.code, printed.out, printed.err)
+
+    return invoke
+
+
+@dataclass
+class Recorder:
+    """Stands in for an application: remembers its arguments and has a result to print."""
+
+    error: BaseException | None = None
+    args: tuple[object, ...] = ()
+    kwargs: dict[str, object] = field(default_factory=dict)
+
+    def __call__(self, *args: object, **kwargs: object) -> Recorder:
+        self.args, self.kwargs = args, kwargs
+        if self.error is not None:
+            raise self.error
+        return self
+
+    def summary(self) -> str:
+        return "what the application says"
+
+
+def replace(monkeypatch: pytest.MonkeyPatch, application: str, function: str) -> Recorder:
+    recorder = Recorder()
+    module = importlib.import_module(f"iher_robot.{application}")
+    monkeypatch.setattr(module, function, recorder)
+    return recorder
+
+
+def assert_one_sentence(outcome: Outcome, *parts: str) -> None:
+    assert outcome.code == 2, outcome
+    assert outcome.err.startswith("iher-robot: ")
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert outcome.out == ""
+    for part in parts:
+        assert part in outcome.err
+
+
+def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = replace(monkeypatch, "train", "train")
+
+    outcome = run(
+        *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
+        *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
+        *"--until-success 0.9 --device cpu --quiet".split(),
+    )
+
+    assert outcome == Outcome(0, "what the application says\n", "")
+    assert train.kwargs == {
+        "task": "push",
+        "driver": "mujoco",
+        "preset": "paper",
+        "algo": "her",
+        "budget_minutes": 1.5,
+        "overrides": ["learner.ddpg.gamma=0.9", "seed=3"],
+        "seed": 7,
+        "out": Path("there"),
+        "until_success": 0.9,
+        "device": "cpu",
+        "display": False,
+    }
+
+
+def test_train_leaves_to_the_application_what_is_not_given(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train = replace(monkeypatch, "train", "train")
+
+    run("train", "--task", "reach", "--until-success", "off")
+
+    assert train.kwargs["budget_minutes"] is None
+    assert train.kwargs["out"] is None
+    assert train.kwargs["until_success"] is None
+    assert train.kwargs["display"] is True
+    assert not train.kwargs["overrides"]
+
+
+def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    resume = replace(monkeypatch, "train", "resume")
+
+    assert run("train", "--resume", "there", "--no-display").code == 0
+    assert (resume.args, resume.kwargs) == ((Path("there"),), {"display": False})
+
+
+def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluate = replace(monkeypatch, "evaluate", "evaluate")
+
+    outcome = run(*"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5".split())
+
+    assert outcome == Outcome(0, "what the application says\n", "")
+    assert evaluate.args == (Path("p.pt"),)
+    assert evaluate.kwargs == {
+        "episodes": 3,
+        "seed": 5,
+        "official": True,
+        "driver": "mujoco",
+        "video": Path("v.mp4"),
+    }
+
+
+def test_an_interrupted_run_says_how_to_resume(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace(monkeypatch, "train", "train").error = KeyboardInterrupt()
+
+    outcome = run("train", "--task", "push")
+
+    assert outcome.code == 130
+    assert "--resume" in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_bug_is_not_hidden_as_bad_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace(monkeypatch, "train", "train").error = ValueError("a bug")
+
+    with pytest.raises(ValueError, match="a bug"):
+        run("train", "--task", "push")
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        ("train --task psh", ["'psh'", "pick_and_place", "did you mean 'push'?"]),
+        ("train --task push --driver mujoko", ["'mujoko'", "did you mean 'mujoco'?"]),
+        ("train --task push --preset papr", ["'papr'", "did you mean 'paper'?"]),
+        ("train --task push --algo hr", ["'hr'", "her-matched", "did you mean 'her'?"]),
+        ("train --task push --set learner.ddpg.gama=0.9", ["gama", "learner.ddpg.gamma"]),
+        ("train --task push --set learner.ddpg.gamma=1.5", ["gamma", "1.5", "1"]),
+        ("train --task push --set learner.ddpg.gamma", ["learner.ddpg.gamma", "="]),
+        ("train --task push --set learner.ddpg.batch_size=many", ["batch_size", "many"]),
+        ("train --task push --budget-minutes 0", ["budget", "0"]),
+        ("train --task push --budget-minutes nan", ["budget", "nan"]),
+        ("train --task push --budget-minutes inf", ["budget", "inf"]),
+        ("train --task push --budget-minutes=-1", ["budget", "-1"]),
+        ("train --task push --budget-minutes soon", ["--budget-minutes"]),
+        ("train --task push --until-success 1.5", ["until_success", "1.5"]),
+        ("train --task push --until-success nan", ["until_success", "nan"]),
+        ("train --task push --until-success soon", ["--until-success", "'soon'", "off"]),
+        ("train --task push --seed=-1", ["seed", "-1"]),
+        ("train --task push --device warp", ["device", "warp", "cpu"]),
+        ("train", ["--task", "--resume"]),
+        ("train --resume there --task push --seed 3", ["--resume", "--task", "--seed"]),
+        ("train --resume there", ["there"]),
+        ("train --tsk push", ["--tsk", "--task"]),
+        ("trian --task push", ["trian", "train"]),
+        ("evaluate", ["policy"]),
+        ("evaluate missing.pt", ["missing.pt"]),
+    ],
+)
+def test_bad_input_gets_one_sentence_and_leaves_no_run(
+    run: Run, tmp_path: Path, words: str, parts: list[str]
+) -> None:
+    new_run = words.startswith("train --task") and "--budget" not in words
+    assert_one_sentence(run(*words.split(), *(ONE_EPISODE if new_run else ())), *parts)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_run_folder_is_not_written_into(run: Run, tmp_path: Path) -> None:
+    kept = tmp_path / "there" / "policy.pt"
+    kept.parent.mkdir()
+    kept.write_text("kept")
+
+    assert_one_sentence(run("train", "--task", "reach", "--out", "there", *ONE_EPISODE), "there")
+    assert list(kept.parent.iterdir()) == [kept]
+    assert kept.read_text() == "kept"
+
+
+def test_a_run_folder_that_cannot_be_made_is_named(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+
+    outcome = run("train", "--task", "reach", "--out", "file/there", *ONE_EPISODE)
+
+    assert_one_sentence(outcome, "file/there")
+
+
+def test_a_file_that_is_no_policy_is_refused(run: Run, tmp_path: Path) -> None:
+    torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
+    whole = (tmp_path / "foreign.pt").read_bytes()
+    (tmp_path / "truncated.pt").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "empty.pt").touch()
+    (tmp_path / "text.pt").write_text("no policy")
+
+    for name in ("foreign.pt", "truncated.pt", "empty.pt", "text.pt"):
+        assert_one_sentence(run("evaluate", name), name)
+
+
+class Trap:
+    """Writes a file when it is unpickled."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (Path("sprung"),)
+
+
+def test_a_policy_file_runs_no_code(run: Run, tmp_path: Path) -> None:
+    torch.save({"policy": Trap()}, tmp_path / "trap.pt")
+
+    assert_one_sentence(run("evaluate", "trap.pt"), "trap.pt")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_episodes_below_one_are_refused(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "any.pt").touch()
+
+    assert_one_sentence(run("evaluate", "any.pt", "--episodes", "0"), "episodes", "0")
+
+
+def test_no_words_print_the_help(run: Run) -> None:
+    outcome = run()
+
+    assert outcome.code == 0
+    assert re.search(r"train .*evaluate", outcome.out, flags=re.DOTALL)
+
+
+def test_python_dash_m_is_the_command_and_prints_its_version() -> None:
+    command = [sys.executable, "-m", "iher_robot", "--version"]
+    root = Path(iher_robot.__file__).resolve().parent.parent
+    result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+
+    assert result.stdout == f"iher-robot {iher_robot.__version__}\n"
