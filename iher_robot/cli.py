@@ -126,12 +126,22 @@ def evaluate(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of starts and goals.")] = 0,
     driver: Annotated[str, typer.Option(help="What moves: a robot driver's name.")] = "mujoco",
+    task: Annotated[
+        str | None,
+        typer.Option(help="Refuse a policy for another task than this.", show_default=False),
+    ] = None,
 ) -> None:
     """Measure a policy's success rate over fresh episodes."""
     from iher_robot.evaluate import evaluate as evaluate_policy
 
     result = evaluate_policy(
-        policy, episodes=episodes, seed=seed, official=official, driver=driver, video=video
+        policy,
+        episodes=episodes,
+        seed=seed,
+        official=official,
+        driver=driver,
+        task=task,
+        video=video,
     )
     typer.echo(result.summary())
 

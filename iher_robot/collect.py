@@ -17,6 +17,8 @@ from iher_robot.learning.policy import Policy, explore
 
 
 Array = NDArray[np.floating]
+OnEnd = Callable[["Recorder", int], None]
+"""Called with what was recorded and the source that the policy was told."""
 
 
 class Stream(IntEnum):
@@ -96,14 +98,32 @@ class Recorder:
         )
 
 
+def choose_action(policy: Policy, observation: Observation, source: int) -> torch.Tensor:
+    """Ask the policy for the action of one tick, without noise.
+
+    Args:
+        policy: A policy on the CPU.
+        observation: What the environment returned.
+        source: Index of the source that the policy is told.
+
+    Returns:
+        ``(1, action_dim)``
+    """
+    return policy.act(
+        torch.as_tensor(observation["observation"], dtype=torch.float32).unsqueeze(0),
+        torch.as_tensor(observation["desired_goal"], dtype=torch.float32).unsqueeze(0),
+        torch.tensor([source]),
+    )
+
+
 def run_episode(
     env: GoalRobotEnv,
     policy: Policy,
     *,
     seed: int,
     ticks: int,
-    exploration: ExplorationConfig | None,
-    on_end: Callable[[Recorder, int], None],
+    exploration: ExplorationConfig | None = None,
+    on_end: OnEnd | None = None,
 ) -> Recorder:
     """Run one episode; ``on_end`` receives what was recorded however it ends.
 
@@ -123,17 +143,12 @@ def run_episode(
     told = REAL
     if exploration is not None and torch.rand((), generator=generator) < exploration.source_flip:
         told = IMAGINED
-    source = torch.tensor([told])
     observation, _ = env.reset(seed=seed)
     recorder = Recorder(observation)
     stuck = False
     try:
         while recorder.ticks < ticks and not stuck:
-            action = policy.act(
-                torch.as_tensor(observation["observation"], dtype=torch.float32).unsqueeze(0),
-                torch.as_tensor(observation["desired_goal"], dtype=torch.float32).unsqueeze(0),
-                source,
-            )
+            action = choose_action(policy, observation, told)
             if exploration is not None:
                 action = explore(action, exploration, generator)
             observation, stuck = recorder.step(env, action[0].numpy())
@@ -141,5 +156,6 @@ def run_episode(
         try:
             env.driver.disarm()
         finally:
-            on_end(recorder, told)
+            if on_end is not None:
+                on_end(recorder, told)
     return recorder

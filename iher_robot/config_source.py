@@ -106,7 +106,8 @@ def parse_mapping(text: bytes, origin: str) -> Mapping[Any, Any]:
 
 def format_yaml(values: Mapping[str, Any]) -> str:
     """Write settings so that parsing them gives the same values back."""
-    return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    # In ASCII: PyYAML does not quote every Unicode line break.
+    return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=False)
 
 
 def _entries(folder: str) -> list[Traversable]:

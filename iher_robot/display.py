@@ -84,6 +84,11 @@ class TrainingDisplay:
     ) -> None:
         self._live.__exit__(kind, error, trace)
 
+    def announce(self, text: str) -> None:
+        """Print a line that stays, above the display."""
+        if self.enabled:
+            self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
     def resume(self, row: Row) -> None:
         """Take over the last row of a run that goes on; time counts from here."""
         self._remember(row)
@@ -98,7 +103,8 @@ class TrainingDisplay:
         """Say what the run is doing; cheap enough for every update.
 
         Args:
-            name: Such as ``"collect"``, ``"dynamics"``, ``"imagine"``, ``"update"``, ``"evaluate"``.
+            name: Such as ``"collect"``, ``"dynamics"``, ``"imagine"``, ``"update"``,
+                ``"evaluate"``.
             done: Parts done.
             total: Parts of the phase in this epoch.
         """

@@ -101,7 +101,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self._ask_human = ask_human
         goal = spaces.Box(-np.inf, np.inf, (self.task.goal_dim,), np.float64)
         observation = spaces.Box(-np.inf, np.inf, (self.task.layout.obs_dim,), np.float64)
-        self.observation_space = spaces.Dict(
+        self.observation_space: spaces.Dict = spaces.Dict(
             {"observation": observation, "achieved_goal": goal, "desired_goal": goal}
         )
         self.action_space = spaces.Box(-1.0, 1.0, (driver.spec.action.dim,), np.float32)

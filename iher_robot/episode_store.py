@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +21,21 @@ from iher_robot.durable_file import (
 )
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
-from iher_robot.ledger import Account
+from iher_robot.ledger import ACCOUNTS, Account
 
 _NAME = re.compile(r"episode-(\d{6,})\.npz")
+# What numpy and zipfile raise on a foreign archive.
+_UNREADABLE = (
+    AttributeError,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 _ARRAYS = ("observations", "actions", "requested_actions", "valid", "desired_goal")
 
 
@@ -135,8 +149,10 @@ class EpisodeStore:
                     account=str(file["account"]),  # type: ignore[arg-type]
                     episode=Episode(**{name: file[name] for name in _ARRAYS}),
                 )
-        except (KeyError, ValueError, TypeError, AttributeError) as error:
+        except _UNREADABLE as error:
             raise UserError(f"{path} is no episode file of iher-robot: {error}") from error
+        if stored.account not in ACCOUNTS:
+            raise UserError(f"{path} names account {stored.account!r}, which does not exist")
         if stored.index != index:
             raise UserError(f"{path} holds episode {stored.index}; restore the files' names")
         return stored

@@ -32,14 +32,14 @@ class Evaluation:
 def run_evaluation(
     run_one: Callable[[int], Recorder],
     seeds: Iterable[int],
-    on_episode: Callable[[int, int], None] = lambda done, successes: None,
+    on_episode: Callable[[int], None] | None = None,
 ) -> Evaluation:
     """Run one episode for each seed.
 
     Args:
         run_one: Runs the episode of a seed, without noise.
         seeds: Decide starts and goals.
-        on_episode: Told the episodes done and how many of them succeeded.
+        on_episode: Told how many episodes are done.
 
     Returns:
         Successes and the episodes.
@@ -53,5 +53,6 @@ def run_evaluation(
         episode = recorder.episode()
         if episode is not None:
             recorded.append(episode)
-        on_episode(count, successes)
+        if on_episode is not None:
+            on_episode(count)
     return Evaluation(successes, count, recorded)

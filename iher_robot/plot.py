@@ -59,7 +59,7 @@ def plot_success(
         title, loc="left", fontsize=13, fontweight="bold", color=_INK, pad=30, parse_math=False
     )
     _write_above(axes, (0, 1), "axes fraction", subtitle, fontsize=9, ha="left", rise=17)
-    write_atomically(path, lambda file: canvas.print_png(file))
+    write_atomically(path, canvas.print_png)
 
 
 def success_points(rows: Rows, *, log_x: bool = False) -> list[Point]:
@@ -144,7 +144,7 @@ def _dress(
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
     axes.set_xlabel("robot minutes", color=_INK)
     axes.set_ylabel("success rate", color=_INK)
-    if log_x:
+    if log_x and any(curves.values()):
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda minutes, _: f"{minutes:g}"))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -133,7 +133,11 @@ def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         write_provenance(directory.provenance_path, provenance)
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
-        shown = stack.enter_context(TrainingDisplay(config.budget_minutes, enabled=display))
+        title = f"{config.task} on {config.driver}, {config.algo}, {config.preset}"
+        shown = stack.enter_context(
+            TrainingDisplay(config.budget_minutes, title=title, enabled=display)
+        )
+        shown.announce(cell.meaning_of_budget())
         last = TrainingRun(cell, directory, ledger, shown, writer, provenance).run()
     return TrainResult(
         directory=directory.path,

@@ -108,6 +108,7 @@ class TrainingRun:
             epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
             self.learner.load_state_dict(state["learner"], epochs)
             self.seconds_before = float(state["run"]["wall_seconds"])
+            self.display.resume(self.rows[-1])
 
     def _done(self) -> bool:
         rates = [row["success"] for row in self.rows if "success" in row][-2:]
@@ -213,17 +214,10 @@ class TrainingRun:
                 return self._robot_episode(
                     "evaluation", reservation, policy, seed=seed, ticks=ticks, exploration=None
                 )
-            return run_episode(
-                self.cell.simulator,
-                policy,
-                seed=seed,
-                ticks=ticks,
-                exploration=None,
-                on_end=lambda recorder, told_source: None,
-            )
+            return run_episode(self.cell.simulator, policy, seed=seed, ticks=ticks)
 
         evaluation = run_evaluation(
-            run_one, seeds, lambda done, successes: self.display.phase("evaluate", done, count)
+            run_one, seeds, lambda done: self.display.phase("evaluate", done, count)
         )
         return {"success": evaluation.success_rate} | diagnose(self.learner, evaluation.episodes)
 
@@ -253,4 +247,5 @@ class TrainingRun:
             self.directory.plot_path,
             title=f"{config.task} on {config.driver}",
             subtitle=f"seed {config.seed}, commit {self.provenance['commit'][:10]}",
+            budget_minutes=config.budget_minutes,
         )

@@ -34,6 +34,22 @@ class Workcell:
     learner: Learner
     budget_ticks: int
 
+    def meaning_of_budget(self) -> str:
+        """What the budget asks of the robot, in one sentence."""
+        per_episode = self.env.task.episode_ticks
+        episodes = -(-self.budget_ticks // per_episode)
+        period_ms = self.env.driver.spec.control_period_s * 1e3
+        place = (
+            "on a simulator of its own, free of charge"
+            if self.simulator is not None
+            else "on the robot, on an account of its own"
+        )
+        return (
+            f"{self.config.budget_minutes:g} robot minutes are {self.budget_ticks:,} ticks of "
+            f"{period_ms:g} ms: {episodes:,} episodes of {per_episode}, each with a reset; "
+            f"evaluation runs {place}"
+        )
+
 
 @contextmanager
 def open_workcell(config: RunConfig) -> Iterator[Workcell]:
