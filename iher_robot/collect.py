@@ -15,7 +15,6 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.policy import Policy, explore
 
-
 Array = NDArray[np.floating]
 OnEnd = Callable[["Recorder", int], None]
 """Called with what was recorded and the source that the policy was told."""

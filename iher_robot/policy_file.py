@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import math
-import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +11,10 @@ from typing import Any
 
 import torch
 
-from iher_robot.durable_file import check_seal, read_file, seal_zip, write_atomically
 from iher_robot.errors import UserError
+from iher_robot.torch_file import load_torch_file, save_torch_file
 
-FORMAT = "iher-robot policy"
+KIND = "policy"
 VERSION = 1
 
 
@@ -64,15 +62,11 @@ def save_policy(path: Path, policy: PolicyFile) -> None:
         ValueError: A value is not plain, or a tensor is not finite.
         UserError: The system refuses.
     """
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-    content |= {name: _plain(getattr(policy, name), name) for name in _TYPES}
+    content = {name: _plain(getattr(policy, name), name) for name in _TYPES}
     for place, tensor in _tensors(content, ""):
         if not torch.isfinite(tensor).all():
             raise ValueError(f"policy value {place} is not finite")
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    sealed = seal_zip(buffer.getvalue())
-    write_atomically(path, lambda file: file.write(sealed))
+    save_torch_file(path, content, kind=KIND, version=VERSION)
 
 
 def load_policy(path: Path) -> PolicyFile:
@@ -82,25 +76,7 @@ def load_policy(path: Path) -> PolicyFile:
         UserError: The file is missing, truncated, damaged, foreign, of a newer version, or
             incomplete, or holds tensors that are not finite.
     """
-    sealed = read_file(path, "policy file")
-    check_seal(sealed, path, "policy file")
-    try:
-        content = torch.load(io.BytesIO(sealed), map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        ArithmeticError,
-        AttributeError,
-        EOFError,
-        LookupError,
-        OSError,
-        TypeError,
-        ValueError,
-    ) as error:
-        raise UserError(f"{path} is no policy file of iher-robot: torch cannot read it") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise UserError(f"{path} is no policy file of iher-robot, but some other torch file")
-    _check_version(content.get("version"), path)
+    content = load_torch_file(path, kind=KIND, version=VERSION)
     return _from_content(content, path)
 
 
@@ -124,15 +100,6 @@ def check_task(policy: PolicyFile, task_name: str, layout_digest: str) -> None:
         raise UserError(
             f"the policy for task {task_name!r} was trained on another observation layout "
             f"({policy.layout_digest[:12]}, the task's is {layout_digest[:12]}); train it again"
-        )
-
-
-def _check_version(version: object, path: Path) -> None:
-    if type(version) is not int or version < 1:
-        raise UserError(f"{path} is damaged: its format version is {version!r}")
-    if version > VERSION:
-        raise UserError(
-            f"{path} has policy format {version}, this iher-robot reads up to {VERSION}; update it"
         )
 
 

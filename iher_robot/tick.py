@@ -63,8 +63,7 @@ def judge_tick(
     """
     elapsed = after.seq - before.seq
     applied = after.applied
-    # Copied: callers may go on writing into the array that they passed in.
-    action = np.array(requested, dtype=np.float32)
+    action = np.asarray(requested, dtype=np.float32)
     if applied is None or applied.tick != after.seq or elapsed < 1:
         return Tick(np.zeros_like(action), False, max(1, elapsed), (), acceptance)
     if applied.clipped:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class Section(BaseModel):
@@ -98,6 +98,15 @@ class DynamicsConfig(Section):
     """1 + (b - 1) E(i)/E, or the paper's printed E(i)/E (b - 1)."""
     std_floor: float = Field(1e-3, gt=0.0)
     """Smallest standard deviation of the model's normalisers, in the observation's units."""
+
+    @model_validator(mode="after")
+    def _some_transition_has_weight(self) -> Self:
+        if self.recency_weights == "printed" and self.recency_bias == 1.0:
+            raise ValueError(
+                "recency_bias 1.0 gives every transition the weight 0 in the printed form; "
+                "allowed: more than 1.0, or recency_weights one-plus"
+            )
+        return self
 
 
 class ImaginationConfig(Section):

@@ -138,15 +138,16 @@ class DDPG:
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks and optimisers, without the policy, which is saved as a snapshot."""
+        """Copy of networks and optimisers, without the policy, which is saved as a snapshot."""
         state = {name: module.state_dict() for name, module in self._modules().items()}
         state["actor_optimizer"] = self._actor_optimizer.state_dict()
         state["critic_optimizer"] = self._critic_optimizer.state_dict()
-        return state
+        return copy.deepcopy(state)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         for name, module in self._modules().items():
             module.load_state_dict(state[name])
-        self._actor_optimizer.load_state_dict(state["actor_optimizer"])
-        self._critic_optimizer.load_state_dict(state["critic_optimizer"])
+        # Optimisers keep the tensors that they load and then write to them.
+        self._actor_optimizer.load_state_dict(copy.deepcopy(state["actor_optimizer"]))
+        self._critic_optimizer.load_state_dict(copy.deepcopy(state["critic_optimizer"]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from typing import Any
 
 import torch
@@ -12,6 +14,8 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.networks import mlp
 from iher_robot.learning.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
+
+DIVERGED = "the models diverged; lower learner.dynamics.lr or raise learner.dynamics.std_floor"
 
 
 def recency_weights(epoch: int, config: DynamicsConfig) -> torch.Tensor:
@@ -87,6 +91,9 @@ class DynamicsEnsemble:
         Returns:
             Mean squared error of the last step in normalised units, averaged over members and
             dimensions.
+
+        Raises:
+            FloatingPointError: The error is not finite.
         """
         epoch = max(1, real.newest_epoch)
         weights = recency_weights(epoch, self.config).to(self.obs_low.device)
@@ -103,7 +110,10 @@ class DynamicsEnsemble:
                 squared.backward()
                 loss += squared.detach() / target.shape[-1]
             self._optimizer.step()
-        return float(loss) / len(self.members)
+        mean_loss = float(loss) / len(self.members)
+        if not math.isfinite(mean_loss):
+            raise FloatingPointError(f"the dynamics models' error is {mean_loss}: {DIVERGED}")
+        return mean_loss
 
     def _inputs(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         return self.input_normalizer.normalize(torch.cat([observation, action], dim=-1))
@@ -129,10 +139,10 @@ class DynamicsEnsemble:
         return observation + self.delta_normalizer.denormalize(normalized_delta)
 
     def state_dict(self) -> dict[str, Any]:
-        """Weights, optimiser state and statistics."""
+        """Copy of weights, optimiser state and statistics."""
         return {
-            "members": self.members.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
+            "members": copy.deepcopy(self.members.state_dict()),
+            "optimizer": copy.deepcopy(self._optimizer.state_dict()),
             "input_normalizer": self.input_normalizer.state_dict(),
             "delta_normalizer": self.delta_normalizer.state_dict(),
             "obs_low": self.obs_low.clone(),
@@ -142,7 +152,7 @@ class DynamicsEnsemble:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         self.members.load_state_dict(state["members"])
-        self._optimizer.load_state_dict(state["optimizer"])
+        self._optimizer.load_state_dict(copy.deepcopy(state["optimizer"]))
         self.input_normalizer.load_state_dict(state["input_normalizer"])
         self.delta_normalizer.load_state_dict(state["delta_normalizer"])
         self.obs_low = state["obs_low"].to(self.obs_low.device)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.dynamics import DynamicsEnsemble
+from iher_robot.learning.dynamics import DIVERGED, DynamicsEnsemble
 from iher_robot.learning.goal_model import IMAGINED, REAL, GoalModel, Shapes
 from iher_robot.learning.imagination import imagine
 from iher_robot.learning.intrinsic import disagreement, intrinsic_reward
@@ -130,8 +130,7 @@ class ImaginarySource:
                     progress("imagine", self.replay.num_transitions, self.level)
             if self.replay.num_episodes == before:
                 raise FloatingPointError(
-                    "every imagined rollout held a value that is not finite: the dynamics models "
-                    "diverged; lower learner.dynamics.lr or raise learner.dynamics.std_floor"
+                    f"every imagined rollout held a value that is not finite: {DIVERGED}"
                 )
         report = meter.means()
         report.pop("kept", None)
@@ -215,6 +214,7 @@ class ImaginarySource:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned; ``refill`` brings the data back."""
+        self.replay.clear()
         self.collected = state["collected"]
         self.level = state["level"]
         self.policy_copies.clear()

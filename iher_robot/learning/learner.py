@@ -117,6 +117,8 @@ class Learner:
             ValueError: No real transition has been added.
             FloatingPointError: The dynamics models diverged.
         """
+        if self.real.num_episodes == 0:
+            raise ValueError("cannot learn: no real transition has been added; call add_real first")
         schedule = self.config.schedule
         imagination = self.config.imagination.enabled
         meter = Meter()

@@ -55,9 +55,10 @@ class RunningNormalizer:
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
         device = self.mean.device
-        self._count = state["count"].to(device)
-        self._sum = state["sum"].to(device)
-        self._sum_of_squares = state["sum_of_squares"].to(device)
+        # Copies, since ``update`` writes to them.
+        self._count = state["count"].to(device, copy=True)
+        self._sum = state["sum"].to(device, copy=True)
+        self._sum_of_squares = state["sum_of_squares"].to(device, copy=True)
         self.mean = state["mean"].to(device)
         self.std = state["std"].to(device)
 

@@ -1,0 +1,261 @@
+"""Whole training runs on the simulated robot, small ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import iher_robot.training_run
+import iher_robot.workcell
+from iher_robot.collect import Recorder
+from iher_robot.display import TrainingDisplay
+from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.episode_store import EpisodeStore
+from iher_robot.errors import UserError
+from iher_robot.evaluate import evaluate
+from iher_robot.evaluation import Evaluation
+from iher_robot.ledger import Ledger
+from iher_robot.train import TrainResult, resume, train
+
+TINY = (
+    "learner.schedule.cycles=2",
+    "learner.schedule.batches=5",
+    "learner.schedule.dynamics_steps=5",
+    "learner.schedule.policy_copy_cycles=2",
+    "learner.ddpg.batch_size=64",
+    "learner.dynamics.hidden=[32, 32]",
+    "evaluation.episodes=2",
+)
+EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
+TIMINGS = {"wall_seconds", "updates_per_second"}
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
+    return train(
+        task="reach",
+        preset="paper",
+        budget_minutes=minutes,
+        overrides=(*TINY, *overrides),
+        out=out,
+        until_success=options.pop("until_success", None),
+        device="cpu",
+        display=False,
+        **options,
+    )
+
+
+def metrics(out: Path) -> list[dict[str, float]]:
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    return [{k: v for k, v in row.items() if k not in TIMINGS} for row in rows]
+
+
+def motion_ticks(out: Path) -> int:
+    with Ledger(out / "ledger.sqlite") as ledger:
+        return ledger.spent_ticks("motion")
+
+
+def stored_ticks(out: Path) -> int:
+    return sum(len(stored.episode) for stored in EpisodeStore(out / "episodes"))
+
+
+class Interruption(KeyboardInterrupt):
+    pass
+
+
+@contextmanager
+def interruption(owner: type, name: str, call: int) -> Iterator[None]:
+    """Cut off the given call of a method by a Ctrl-C, which must come through."""
+    original: Callable[..., Any] = getattr(owner, name)
+    calls = 0
+
+    def counted(self: Any, *args: Any, **options: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise Interruption
+        return original(self, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, counted)
+        with pytest.raises(Interruption):
+            yield
+
+
+def test_the_budget_is_spent_to_the_last_tick_and_every_tick_is_kept(tmp_path: Path) -> None:
+    # 75 ticks: one whole episode and half of another.
+    result = run(tmp_path / "run", 0.05)
+    assert motion_ticks(tmp_path / "run") == 75
+    assert stored_ticks(tmp_path / "run") == 75
+    assert [len(s.episode) for s in EpisodeStore(tmp_path / "run" / "episodes")] == [50, 25]
+    assert result.robot_minutes == pytest.approx(0.05)
+
+
+def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(tmp_path: Path) -> None:
+    run(tmp_path / "run", EPOCH_MINUTES)
+    (row,) = metrics(tmp_path / "run")
+    assert row["imagined_transitions"] == 2 * 2 * 50
+    assert row["real_transitions"] == stored_ticks(tmp_path / "run") == 100
+    with Ledger(tmp_path / "run" / "ledger.sqlite") as ledger:
+        assert ledger.spent_ticks("evaluation") == 0
+
+
+def test_a_run_interrupted_between_epochs_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    run(tmp_path / "whole", 3 * EPOCH_MINUTES)
+    with interruption(TrainingDisplay, "epoch", call=2):
+        run(tmp_path / "parts", 3 * EPOCH_MINUTES)
+    assert len(metrics(tmp_path / "parts")) == 2
+    resume(tmp_path / "parts", display=False)
+    assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")
+    parts, whole = (
+        torch.load(tmp_path / name / "policy.pt", weights_only=True)["policy"]
+        for name in ("parts", "whole")
+    )
+    for name, weight in whole["actor"].items():
+        assert torch.equal(parts["actor"][name], weight), name
+
+
+def test_a_run_interrupted_in_an_episode_loses_and_recounts_nothing(tmp_path: Path) -> None:
+    # An epoch is 100 ticks of collection and 100 of evaluation.
+    with interruption(Recorder, "step", call=231):
+        run(tmp_path / "run", 2 * EPOCH_MINUTES)
+    assert [len(s.episode) for s in EpisodeStore(tmp_path / "run" / "episodes")] == [50, 50, 30]
+    assert motion_ticks(tmp_path / "run") == 130
+    resume(tmp_path / "run", display=False)
+    assert motion_ticks(tmp_path / "run") == 200
+    rows = metrics(tmp_path / "run")
+    assert rows[-1]["real_transitions"] == stored_ticks(tmp_path / "run") == 200
+    assert [row["epoch"] for row in rows] == [1, 2, 3]
+
+
+def test_the_tick_in_flight_counts(tmp_path: Path) -> None:
+    with interruption(GoalRobotEnv, "step", call=31):
+        run(tmp_path / "run", EPOCH_MINUTES)
+    assert stored_ticks(tmp_path / "run") == 30
+    assert motion_ticks(tmp_path / "run") == 31
+
+
+@pytest.mark.parametrize("method", ["step", "reset"])
+def test_robots_end_disarmed_and_closed_whatever_happens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    made: list[GoalRobotEnv] = []
+
+    def remember(*args: Any, **options: Any) -> GoalRobotEnv:
+        made.append(make_env(*args, **options))
+        return made[-1]
+
+    monkeypatch.setattr(iher_robot.workcell, "make_env", remember)
+    with interruption(GoalRobotEnv, method, call=2):
+        run(tmp_path / "run", EPOCH_MINUTES)
+    assert made
+    assert not any(env.driver.is_armed or env.driver.is_open for env in made)
+
+
+def test_a_run_stops_when_two_evaluations_in_a_row_succeed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes = iter([1, 0, 1, 1, 0, 0])
+    monkeypatch.setattr(
+        iher_robot.training_run,
+        "run_evaluation",
+        lambda *args: Evaluation(successes=next(outcomes), count=1, episodes=[]),
+    )
+    result = run(tmp_path / "run", 6 * EPOCH_MINUTES, until_success=1.0)
+    assert result.epochs == 4
+    assert result.robot_minutes == pytest.approx(4 * 100 * 0.04 / 60)
+
+
+def test_a_finished_run_can_be_resumed_and_spends_nothing(tmp_path: Path) -> None:
+    first = run(tmp_path / "run", EPOCH_MINUTES)
+    again = resume(tmp_path / "run", display=False)
+    assert motion_ticks(tmp_path / "run") == 100
+    assert again.success_rate == first.success_rate
+
+
+def test_the_baseline_imagines_nothing_and_evaluates_at_its_end(tmp_path: Path) -> None:
+    run(tmp_path / "run", 2 * EPOCH_MINUTES, algo="her")
+    rows = metrics(tmp_path / "run")
+    assert [row["imagined_transitions"] for row in rows] == [0, 0]
+    assert ["success" in row for row in rows] == [False, True]
+    assert "model_error_1" not in rows[-1]
+
+
+def test_a_policy_does_the_same_on_the_driver_and_in_the_official_environment(
+    tmp_path: Path,
+) -> None:
+    result = run(
+        tmp_path / "run",
+        EPOCH_MINUTES,
+        "learner.schedule.cycles=10",
+        "learner.schedule.batches=40",
+    )
+    ours = evaluate(result.policy, episodes=20)
+    official = evaluate(result.policy, episodes=20, official=True)
+    assert ours.successes == official.successes
+    assert 0 < ours.successes < 20  # else the comparison shows nothing
+    assert not ours.warnings
+
+
+def test_a_second_learner_cannot_spend_the_same_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused: list[str] = []
+
+    def resume_meanwhile(self: TrainingDisplay, row: object) -> None:
+        with pytest.raises(UserError) as error:
+            resume(tmp_path / "run", display=False)
+        refused.append(str(error.value))
+
+    monkeypatch.setattr(TrainingDisplay, "epoch", resume_meanwhile)
+    run(tmp_path / "run", EPOCH_MINUTES)
+    assert len(refused) == 1
+    assert "in use" in refused[0]
+
+
+def test_bad_settings_leave_no_folder(tmp_path: Path) -> None:
+    for options in (
+        {"minutes": 0.0},
+        {"minutes": float("nan")},
+        {"minutes": 1e-6},
+        {"minutes": 1.0, "driver": "mojoco"},
+    ):
+        with pytest.raises(ValueError, match=r"budget|mojoco"):
+            run(tmp_path / "run", options.pop("minutes"), **options)  # type: ignore[arg-type]
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_display_changes_nothing(tmp_path: Path) -> None:
+    run(tmp_path / "quiet", EPOCH_MINUTES)
+    train(
+        task="reach",
+        preset="paper",
+        budget_minutes=EPOCH_MINUTES,
+        overrides=TINY,
+        out=tmp_path / "shown",
+        until_success=None,
+        device="cpu",
+    )
+    assert metrics(tmp_path / "quiet") == metrics(tmp_path / "shown")
+
+
+def test_seeds_decide_a_run(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        run(tmp_path / name, EPOCH_MINUTES, seed=seed)
+    assert metrics(tmp_path / "a") == metrics(tmp_path / "b")
+    assert metrics(tmp_path / "a") != metrics(tmp_path / "c")
+    first, second = (
+        next(iter(EpisodeStore(tmp_path / name / "episodes"))).episode for name in ("a", "c")
+    )
+    assert not np.array_equal(first.desired_goal, second.desired_goal)
