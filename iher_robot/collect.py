@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from iher_robot.env import GoalRobotEnv, Observation
+from iher_robot.env import EpisodeAborted, GoalRobotEnv, Observation
 from iher_robot.learning.config import ExplorationConfig
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, REAL
@@ -64,7 +64,7 @@ class Recorder:
         self._requested: list[Array] = []
         self._valid: list[bool] = []
 
-    def step(self, env: GoalRobotEnv, action: Array) -> tuple[Observation, bool]:
+    def step(self, env: GoalRobotEnv, action: Array) -> Observation:
         """Step the robot by one control tick and record it.
 
         Args:
@@ -72,17 +72,20 @@ class Recorder:
             action: What the policy asks for, in [-1, 1]. ``(action_dim,)``
 
         Returns:
-            The next observation, and whether the robot cannot go on.
+            The next observation.
+
+        Raises:
+            EpisodeAborted: The robot cannot go on; the tick is charged nevertheless.
         """
         self.ticks += 1
-        observation, _, _, truncated, info = env.step(action)
+        observation, _, _, _, info = env.step(action)
         self.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
         self._observations.append(observation["observation"])
         self._requested.append(action)
         self._applied.append(info["action_applied"])
         self._valid.append(bool(info["tick_valid"]))
-        self.success = bool(info["is_success"]) and not truncated
-        return observation, truncated
+        self.success = bool(info["is_success"])
+        return observation
 
     def episode(self) -> Episode | None:
         """The ticks recorded whole, as an episode; None before the first."""
@@ -144,13 +147,14 @@ def run_episode(
         told = IMAGINED
     observation, _ = env.reset(seed=seed)
     recorder = Recorder(observation)
-    stuck = False
     try:
-        while recorder.ticks < ticks and not stuck:
+        while recorder.ticks < ticks:
             action = choose_action(policy, observation, told)
             if exploration is not None:
                 action = explore(action, exploration, generator)
-            observation, stuck = recorder.step(env, action[0].numpy())
+            observation = recorder.step(env, action[0].numpy())
+    except EpisodeAborted:
+        recorder.success = False  # what was recorded until then is kept, and learned from
     finally:
         try:
             env.driver.disarm()

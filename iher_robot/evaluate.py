@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
+import io
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -162,13 +162,11 @@ def _changed(saved: Mapping[str, object], present: Mapping[str, object]) -> str:
 
 
 def _official_env(name: str, render_mode: str | None) -> AnyEnv:
-    import gymnasium_robotics
-
+    # Importing the package prints notices about environments that are not ours.
+    with redirect_stderr(io.StringIO()):
+        import gymnasium_robotics
     gym.register_envs(gymnasium_robotics)
-    with warnings.catch_warnings():
-        # gymnasium-robotics 1.4 asks for a render mode by a name that gymnasium calls outdated.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return gym.make(name, render_mode=render_mode)
+    return gym.make(name, render_mode=render_mode)
 
 
 def _episode(

@@ -21,3 +21,10 @@ def copied(array: ArrayT) -> ArrayT:
     if isinstance(array, np.ndarray):
         return array.copy()
     return array.clone()
+
+
+def square_root(array: ArrayT) -> ArrayT:
+    """Return the square root, correctly rounded: ``** 0.5`` can differ in the last bit."""
+    if isinstance(array, np.ndarray | np.floating):  # a sum over the only axis is no array
+        return np.asarray(np.sqrt(array))
+    return array.sqrt()

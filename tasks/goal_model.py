@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from tasks.arrays import ArrayT, FloatArray
+from tasks.arrays import ArrayT, FloatArray, square_root
 from tasks.layout import ObservationLayout
 
 
@@ -62,7 +62,7 @@ class GoalModel(ABC):
         """Return how far goals are apart, m. ``(...,)``"""
         difference = achieved - desired
         squared: ArrayT = (difference * difference).sum(-1)
-        return squared**0.5
+        return square_root(squared)
 
     def compute_reward(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
         """Return the sparse reward.

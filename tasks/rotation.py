@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +30,8 @@ def quat_to_euler(quat: NDArray[np.float64]) -> NDArray[np.float64]:
     m01, m10 = 2.0 * (x * y - w * z), 2.0 * (x * y + w * z)
     m02 = 2.0 * (x * z + w * y)
     m12 = 2.0 * (y * z - w * x)
-    cosine = (m22 * m22 + m12 * m12) ** 0.5
+    # Not ** 0.5, whose last bit can differ.
+    cosine = math.sqrt(m22 * m22 + m12 * m12)
     if cosine > _GIMBAL:
         # One call of numpy's arctan2: math.atan2 can differ from it in the last bit.
         return -np.arctan2([m12, -m02, m01], [m22, cosine, m00])

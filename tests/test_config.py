@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -194,6 +194,8 @@ def test_settings_cannot_be_changed(configs: Files) -> None:
     until=st.none() | st.floats(0, 1, exclude_min=True),
     preset=st.text(min_size=1),
 )
+@example(gamma=1e-05, seed=0, budget=1e22, hidden=[], until=None, preset="\x85")
+@example(gamma=0.5, seed=0, budget=5e-324, hidden=[1], until=1.0, preset="1e3")
 def test_dumped_settings_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory,
     *,

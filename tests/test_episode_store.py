@@ -94,6 +94,13 @@ def test_foreign_files_are_errors_that_name_them(store: EpisodeStore) -> None:
     with pytest.raises(UserError, match=r"episode-000001\.npz is no episode file"):
         store.load(1)
 
+    damaged = bytearray((store.directory / "episode-000002.npz").read_bytes()[:-64])
+    damaged[-2:] = b"\0\0"
+    damaged[len(damaged) // 2] ^= 1
+    path.write_bytes(durable_file.seal_zip(bytes(damaged)))
+    with pytest.raises(UserError, match=r"episode-000001\.npz is no episode file"):
+        store.load(1)
+
     shutil.copy(store.directory / "episode-000002.npz", path)
     with pytest.raises(UserError, match=r"episode-000001\.npz holds episode 2"):
         store.load(1)

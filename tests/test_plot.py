@@ -48,7 +48,7 @@ def test_the_budget_widens_the_axis(tmp_path: Path, log_x: bool) -> None:
 
 
 def test_only_evaluations_are_points() -> None:
-    rows = [
+    rows: list[dict[str, float | None]] = [
         {"robot_minutes": 2.0, "success": 0.5},
         {"robot_minutes": 1.0, "success": 0.25},
         {"robot_minutes": 3.0},

@@ -227,10 +227,14 @@ def test_close_is_idempotent_and_the_driver_opens_again(driver: RobotDriver) -> 
 
 
 def test_a_context_ends_held_and_disarmed_when_its_body_raises(driver: RobotDriver) -> None:
-    with pytest.raises(ZeroDivisionError), driver:
-        driver.reset(ResetRequest())
-        driver.arm()
-        raise ZeroDivisionError
+    def episode() -> None:
+        with driver:
+            driver.reset(ResetRequest())
+            driver.arm()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        episode()
     assert not driver.is_armed
     assert not driver.is_open
 

@@ -108,7 +108,7 @@ def test_each_sensor_has_an_age_limit_of_its_own(robot: FakeRobot) -> None:
     robot.camera_age_ns = 150_000_000  # older than the robot's limit, within the camera's
     assert robot.read().objects["object0"].stamp_ns < robot.stamp_ns
     robot.camera_age_ns = 201_000_000
-    with pytest.raises(StaleState, match="object 'object0' of fake is 0.201 s old"):
+    with pytest.raises(StaleState, match=r"object 'object0' of fake is 0\.201 s old"):
         robot.read()
 
 

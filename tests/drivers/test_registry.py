@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import sys
 from importlib.metadata import EntryPoint
+from types import ModuleType
 
 import pytest
 
@@ -27,13 +29,11 @@ def test_the_built_in_driver_is_there_without_an_installation(
 
 
 def test_a_driver_of_another_package_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    bring(monkeypatch, ("fake", f"{__name__}:make_fake"))
-    monkeypatch.setattr(drivers.registry.importlib, "import_module", lambda _: _ThisModule)
+    package = ModuleType("foreign_robots")
+    vars(package)["make_fake"] = make_fake
+    monkeypatch.setitem(sys.modules, "foreign_robots", package)
+    bring(monkeypatch, ("fake", "foreign_robots:make_fake"))
     assert isinstance(make_driver("fake", scene="push"), FakeRobot)
-
-
-class _ThisModule:
-    make_fake = staticmethod(make_fake)
 
 
 def test_the_metadata_may_name_the_built_in_driver_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,5 +54,5 @@ def test_an_error_inside_a_driver_is_not_hidden(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:
-    with pytest.raises(UnknownDriver, match="unknown driver 'mujco'.*did you mean 'mujoco'"):
+    with pytest.raises(UnknownDriver, match=r"unknown driver 'mujco'.*did you mean 'mujoco'"):
         make_driver("mujco", scene="push")

@@ -1,0 +1,7 @@
+"""The networks here are too small for threads to help."""
+
+from __future__ import annotations
+
+import torch
+
+torch.set_num_threads(1)

@@ -1,0 +1,178 @@
+"""Hindsight replay: what may be stored, drawn and relabelled."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from iher_robot.learning.goal_model import IMAGINED
+from iher_robot.learning.replay import EpisodeReplay, Transitions
+from tests.learning.point_mass import SHAPES, PointMassGoals
+from tests.learning.stand_ins import (
+    deviation,
+    generator,
+    marked_episode,
+    replay_of,
+    store,
+    stored,
+)
+
+TICKS = SHAPES.episode_ticks
+lengths_strategy = st.lists(st.integers(1, TICKS), min_size=1, max_size=8)
+
+
+def sample(replay: EpisodeReplay, count: int, fraction: float, seed: int = 0) -> Transitions:
+    return replay.sample(count, generator(seed), PointMassGoals(), future_fraction=fraction)
+
+
+@settings(deadline=None, max_examples=60)
+@given(lengths_strategy, st.floats(0, 1), st.integers(0, 2**31))
+def test_samples_are_consistent_transitions_with_goals_from_their_own_future(
+    lengths: list[int], fraction: float, seed: int
+) -> None:
+    replay = replay_of([marked_episode(n, length) for n, length in enumerate(lengths)])
+    batch = sample(replay, 256, fraction, seed)
+    number, tick = batch.observation[:, 0], batch.observation[:, 1]
+    assert torch.equal(batch.action, batch.observation[:, :2])
+    assert torch.equal(batch.next_observation[:, 0], number)
+    assert torch.equal(batch.next_observation[:, 1], tick + 1)
+
+    relabelled = batch.goal[:, 0] != -1
+    assert torch.equal(batch.goal[~relabelled, 1], number[~relabelled])  # the desired goal
+    goal_number, goal_tick = batch.goal[relabelled].unbind(-1)
+    assert torch.equal(goal_number, number[relabelled])
+    assert (goal_tick > tick[relabelled]).all()
+    assert (goal_tick <= torch.tensor(lengths)[goal_number.long()]).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(lengths_strategy, st.floats(0, 1), st.integers(0, 2**31))
+def test_the_reward_is_that_of_the_next_observation_under_the_goal(
+    lengths: list[int], fraction: float, seed: int
+) -> None:
+    replay = replay_of([marked_episode(n, length) for n, length in enumerate(lengths)])
+    batch = sample(replay, 256, fraction, seed)
+    goals = PointMassGoals()
+    achieved = goals.achieved_goal(batch.next_observation)
+    assert torch.equal(batch.extrinsic, goals.compute_reward(achieved, batch.goal))
+    # Said without the goal model: met where the goal is what the very next tick achieved.
+    met = (batch.goal == batch.next_observation[:, :2]).all(-1)
+    assert torch.equal(batch.extrinsic == 0, met)
+    assert (batch.extrinsic[~met] == -1).all()
+
+
+def test_hindsight_is_uniform_over_all_later_ticks_the_last_included() -> None:
+    batch = sample(replay_of([marked_episode(0, TICKS)]), 60_000, 1.0)
+    counts = torch.zeros(TICKS, TICKS + 1)
+    tick, goal_tick = batch.observation[:, 1].long(), batch.goal[:, 1].long()
+    counts.index_put_((tick, goal_tick), torch.ones(len(tick)), accumulate=True)
+    row, column = torch.triu_indices(TICKS, TICKS + 1, offset=1)
+    assert counts[row, column].sum() == len(tick)
+    assert deviation(counts[row, column], 1.0 / (TICKS - row)) < 4
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.8, 1.0])
+def test_the_share_of_relabelled_transitions(fraction: float) -> None:
+    batch = sample(replay_of([marked_episode(n, TICKS) for n in range(3)]), 20_000, fraction)
+    share = float((batch.goal[:, 0] != -1).float().mean())
+    assert share == pytest.approx(fraction, abs=4 * (fraction * (1 - fraction) / 20_000) ** 0.5)
+
+
+def test_draws_are_uniform_over_transitions_not_over_episodes() -> None:
+    replay = replay_of([marked_episode(n, length) for n, length in enumerate([12, 1, 3, 12, 7])])
+    episode, tick = replay.draw(40_000, generator())
+    counts = torch.zeros(5, TICKS)
+    counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
+    drawable = counts[replay.every_step()]
+    assert drawable.sum() == len(tick)
+    assert deviation(drawable, torch.ones(len(drawable))) < 4
+
+
+def test_draws_follow_the_weights_of_the_epochs() -> None:
+    replay = replay_of()
+    for number, (epoch, length) in enumerate([(1, 12), (2, 2), (2, 7), (3, 5), (4, 1)]):
+        store(replay, [marked_episode(number, length)], epoch)
+    weights = torch.tensor([9.0, 0.5, 1.0, 0.0, 3.0])
+    episode, tick = replay.draw(40_000, generator(), weights)
+    counts = torch.zeros(5, TICKS)
+    counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
+    assert counts[3].sum() == 0  # epoch 3 weighs nothing
+    for number, (share, length) in {0: (0.5, 12), 1: (1.0, 2), 2: (1.0, 7), 4: (3.0, 1)}.items():
+        expected = share * length / (0.5 * 12 + 1.0 * 9 + 3.0)
+        assert counts[number].sum() / 40_000 == pytest.approx(expected, abs=0.01)
+    first = counts[0, :12]
+    assert deviation(first, torch.ones(12)) < 4
+    # A weighted draw leaves the uniform one as it was.
+    again, _ = replay.draw(40_000, generator())
+    assert (again == 3).float().mean() == pytest.approx(5 / 27, abs=0.01)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(0, 80),
+    st.lists(st.tuples(st.integers(1, 9), st.integers(1, TICKS)), min_size=1, max_size=8),
+    st.integers(0, 2**31),
+)
+def test_first_in_first_out(capacity: int, batches: list[tuple[int, int]], seed: int) -> None:
+    replay = replay_of(capacity=capacity)
+    everything: list[tuple[int, int]] = []
+    for epoch, (count, length) in enumerate(batches, start=1):
+        episodes = [marked_episode(len(everything) + i, length) for i in range(count)]
+        everything += [(len(everything) + i, length) for i in range(count)]
+        replay.add(
+            torch.stack([torch.as_tensor(e.observations) for e in episodes]),
+            torch.stack([torch.as_tensor(e.actions) for e in episodes]),
+            torch.stack([torch.as_tensor(e.desired_goal) for e in episodes]),
+            epoch=epoch,
+        )
+        assert replay.newest_epoch == epoch
+        newest = everything[-max(1, capacity // TICKS) :]
+        assert replay.num_episodes == len(newest)
+        assert replay.num_transitions == sum(length for _, length in newest)
+
+    kept = {(number, tick) for number, length in newest for tick in range(length)}
+    observation, action, following = stored(replay)
+    assert {tuple(row) for row in action.int().tolist()} == kept
+    assert len(action) == len(kept)
+    assert torch.equal(observation[:, :2], action)
+    assert torch.equal(following[:, 1], action[:, 1] + 1)
+    starts = replay.start_observations()
+    assert sorted(starts[:, 0].tolist()) == [number for number, _ in newest]
+    assert (starts[:, 1] == 0).all()
+    batch = sample(replay, 64, 0.5, seed)
+    assert {tuple(row) for row in batch.action.int().tolist()} <= kept
+
+
+def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> None:
+    replay = replay_of([marked_episode(n, TICKS) for n in range(4)], source=IMAGINED)
+    replay.draw(1, generator())
+    replay.clear()
+    assert (replay.num_episodes, replay.num_transitions, replay.newest_epoch) == (0, 0, 0)
+    with pytest.raises(ValueError, match=f"source {IMAGINED} holds no episode"):
+        sample(replay, 1, 0.8)
+    store(replay, [marked_episode(9, 3)])
+    assert set(sample(replay, 100, 0.0).action[:, 0].tolist()) == {9.0}
+
+
+def test_a_cached_intrinsic_reward_belongs_to_its_transition_and_dies_with_it() -> None:
+    replay = replay_of([marked_episode(n, 5) for n in range(2)], capacity=2 * TICKS)
+    assert (sample(replay, 50, 0.0).intrinsic == 0).all()
+    episode, tick = replay.every_step()
+    replay.store_intrinsic(episode, tick, 10.0 * episode + tick)
+    batch = sample(replay, 200, 0.5)
+    assert torch.equal(batch.intrinsic, 10 * batch.action[:, 0] + batch.action[:, 1])
+    store(replay, [marked_episode(2, TICKS)])  # takes the oldest one's place
+    batch = sample(replay, 200, 0.5)
+    assert set(batch.intrinsic[batch.action[:, 0] == 2].tolist()) == {0.0}
+    assert (batch.intrinsic[batch.action[:, 0] == 1] >= 10).all()
+
+
+def test_batches_of_several_sources_are_joined_in_order() -> None:
+    real = sample(replay_of([marked_episode(1, TICKS)]), 3, 0.0)
+    imagined = sample(replay_of([marked_episode(2, TICKS)], source=IMAGINED), 2, 0.0)
+    joined = Transitions.concatenate([real, imagined])
+    assert joined.source.tolist() == [0, 0, 0, 1, 1]
+    assert joined.action[:, 0].tolist() == [1, 1, 1, 2, 2]
+    assert torch.equal(joined.goal, torch.cat([real.goal, imagined.goal]))
