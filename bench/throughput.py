@@ -88,7 +88,7 @@ def measure(learner: Learner, precision: str) -> dict[str, float]:
         learner.ensemble.train(learner.real, 1, batch_size=batch, generator=learner.generator)
 
     def imagine() -> None:
-        learner.imagined._imagine(learner.ensemble, learner.policy, starts, 1_000, epoch=1)
+        learner.imagined.add_rollouts(learner.ensemble, learner.policy, starts, 1_000, epoch=1)
 
     left, right = torch.randn(2048, 256), torch.randn(256, 256)
     return {

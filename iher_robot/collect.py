@@ -157,7 +157,7 @@ def run_episode(
         recorder.success = False  # what was recorded until then is kept, and learned from
     finally:
         try:
-            env.driver.disarm()
+            env.hold()
         finally:
             if on_end is not None:
                 on_end(recorder, told)

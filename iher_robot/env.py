@@ -22,7 +22,6 @@ from drivers import (
 )
 from iher_robot.controller import Controller, EndEffectorController
 from iher_robot.errors import UserError
-from iher_robot.registration import register_envs
 from iher_robot.tick import Tick, judge_tick
 from tasks import GoalTask, make_task
 
@@ -33,7 +32,7 @@ _PICTURE_SIZE = (640, 480)
 _GATE_CLOSED = (Refusal.DISARMED, Refusal.LATCHED)
 
 
-class ResetFailed(RuntimeError):
+class ResetFailed(UserError):
     """The robot could not be brought to the start of an episode."""
 
 
@@ -308,6 +307,3 @@ def make_env(
     task = make_task(task_name)
     driver = make_driver(driver_name, **({"scene": task.scene} | driver_options))
     return GoalRobotEnv(driver, task, render_mode=render_mode)
-
-
-register_envs()

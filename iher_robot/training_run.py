@@ -157,9 +157,12 @@ class TrainingRun:
         exploration: ExplorationConfig | None,
     ) -> Recorder:
         """Run an episode that is charged and kept, whatever ends it."""
+        begun = False
         with reservation as entry:
 
             def keep(recorder: Recorder, told_source: int) -> None:
+                nonlocal begun
+                begun = True
                 episode = recorder.episode()
                 if episode is not None:
                     self.store.append(
@@ -170,14 +173,18 @@ class TrainingRun:
                     )
                 entry.settle(recorder.ticks)
 
-            return run_episode(
-                self.cell.env,
-                policy,
-                seed=seed,
-                ticks=ticks,
-                exploration=exploration,
-                on_end=keep,
-            )
+            try:
+                return run_episode(
+                    self.cell.env,
+                    policy,
+                    seed=seed,
+                    ticks=ticks,
+                    exploration=exploration,
+                    on_end=keep,
+                )
+            finally:
+                if not begun:  # the reset failed: no tick of the episode was run
+                    entry.settle(0)
 
     def _learn(self) -> None:
         """Learn from the epoch's episodes, evaluate, and write everything down."""
@@ -187,7 +194,10 @@ class TrainingRun:
             "episodes": self.collected,
             "object_moved": float(np.mean([self._moved(e) for e in self.pending])),
         }
-        row |= self.learner.learn(self.display.phase)
+        try:
+            row |= self.learner.learn(self.display.phase)
+        except FloatingPointError as error:
+            raise UserError(f"learning stopped in epoch {self.learner.epoch}: {error}") from error
         if self._spent or self.learner.epoch % self.config.evaluation.every_epochs == 0:
             row |= self._evaluate()
         self.pending = []

@@ -128,7 +128,9 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
 def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     evaluate = replace(monkeypatch, "evaluate", "evaluate")
 
-    outcome = run(*"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5".split())
+    outcome = run(
+        *"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5 --task push".split()
+    )
 
     assert outcome == Outcome(0, "what the application says\n", "")
     assert evaluate.args == (Path("p.pt"),)
@@ -137,6 +139,7 @@ def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPat
         "seed": 5,
         "official": True,
         "driver": "mujoco",
+        "task": "push",
         "video": Path("v.mp4"),
     }
 

@@ -16,7 +16,7 @@ import iher_robot.training_run
 import iher_robot.workcell
 from iher_robot.collect import Recorder
 from iher_robot.display import TrainingDisplay
-from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.env import EpisodeAborted, GoalRobotEnv, ResetFailed, make_env
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.evaluate import evaluate
@@ -144,6 +144,40 @@ def test_the_tick_in_flight_counts(tmp_path: Path) -> None:
         run(tmp_path / "run", EPOCH_MINUTES)
     assert stored_ticks(tmp_path / "run") == 30
     assert motion_ticks(tmp_path / "run") == 31
+
+
+def test_an_aborted_episode_is_charged_and_kept_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, calls = GoalRobotEnv.step, 0
+
+    def abort_once(self: GoalRobotEnv, action: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        outcome = original(self, action)
+        if calls == 21:
+            self.hold()
+            raise EpisodeAborted("six invalid ticks")
+        return outcome
+
+    monkeypatch.setattr(GoalRobotEnv, "step", abort_once)
+    run(tmp_path / "run", 0.0474)  # 71 ticks
+    lengths = [len(stored.episode) for stored in EpisodeStore(tmp_path / "run" / "episodes")]
+    assert lengths == [20, 50]
+    assert motion_ticks(tmp_path / "run") == 21 + 50
+    assert metrics(tmp_path / "run")[-1]["real_transitions"] == 70
+
+
+def test_a_robot_that_cannot_be_reset_is_charged_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: GoalRobotEnv, **_: Any) -> Any:
+        raise ResetFailed("the block fell off the table")
+
+    monkeypatch.setattr(GoalRobotEnv, "reset", fail)
+    with pytest.raises(UserError, match="fell off"):
+        run(tmp_path / "run", EPOCH_MINUTES)
+    assert motion_ticks(tmp_path / "run") == 0
 
 
 @pytest.mark.parametrize("method", ["step", "reset"])

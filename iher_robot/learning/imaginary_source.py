@@ -82,7 +82,7 @@ class ImaginarySource:
             What the rollouts show.
         """
         count = self.config.schedule.imaginary_episodes
-        report = self._imagine(ensemble, policy, starts, count, epoch=epoch)
+        report = self.add_rollouts(ensemble, policy, starts, count, epoch=epoch)
         self.collected += int(report.pop("kept")) * self.shapes.episode_ticks
         self.level = self.replay.num_transitions
         return report
@@ -126,7 +126,7 @@ class ImaginarySource:
                 wanted = min(share, self._missing())
                 for start in range(0, wanted, CHUNK):
                     count = min(CHUNK, wanted - start)
-                    meter.add(self._imagine(ensemble, each, starts, count, epoch=epoch))
+                    meter.add(self.add_rollouts(ensemble, each, starts, count, epoch=epoch))
                     progress("imagine", self.replay.num_transitions, self.level)
             if self.replay.num_episodes == before:
                 raise FloatingPointError(
@@ -145,7 +145,7 @@ class ImaginarySource:
             if copied_at != cycle:
                 yield Policy.from_snapshot(snapshot, device=self.device)
 
-    def _imagine(
+    def add_rollouts(
         self,
         ensemble: DynamicsEnsemble,
         policy: Policy,
@@ -154,6 +154,18 @@ class ImaginarySource:
         *,
         epoch: int,
     ) -> dict[str, float]:
+        """Add rollouts of a policy.
+
+        Args:
+            ensemble: The models.
+            policy: The policy, here with exploration.
+            starts: Real observations to start from. ``(starts, obs_dim)``
+            count: Rollouts to imagine.
+            epoch: The current epoch.
+
+        Returns:
+            What they show; ``kept`` is the number that were finite.
+        """
         row = torch.randint(len(starts), (count,), generator=self.generator, device=self.device)
         start = starts[row]
         flip = torch.rand(count, generator=self.generator, device=self.device)

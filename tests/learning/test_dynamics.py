@@ -69,8 +69,13 @@ def test_the_newest_transitions_become_b_times_as_likely_as_the_first(bias: floa
 
 
 @pytest.mark.parametrize(
-    ("form", "bias", "newest"), [("one-plus", 1.0, 1 / 2), ("one-plus", 5.0, 5 / 7)]
-    + [("printed", 5.0, 4 / 5), ("printed", 2.0, 4 / 5)],
+    ("form", "bias", "newest"),
+    [
+        ("one-plus", 1.0, 1 / 2),
+        ("one-plus", 5.0, 5 / 7),
+        ("printed", 5.0, 4 / 5),
+        ("printed", 2.0, 4 / 5),
+    ],
 )
 def test_training_weighs_transitions_by_their_epoch(form: Form, bias: float, newest: float) -> None:
     # One input with two outcomes, no change in epoch 1 and a drift of 1 in epoch 4: what the
@@ -192,9 +197,7 @@ def test_a_restored_ensemble_trains_on_as_the_original_does(trained: DynamicsEns
     assert not torch.equal(one, trained.predict(observation, action))
     untouched = untrained(seed=8)
     untouched.load_state_dict(state)  # neither copy has written to what it loaded
-    assert torch.equal(
-        untouched.predict(observation, action), trained.predict(observation, action)
-    )
+    assert torch.equal(untouched.predict(observation, action), trained.predict(observation, action))
     assert torch.equal(untouched.obs_low, trained.obs_low)
     assert torch.equal(untouched.obs_high, trained.obs_high)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain, pairwise
 
 import numpy as np
 import pytest
@@ -17,14 +18,14 @@ def test_segments_hold_exactly_the_valid_ticks_and_span_no_other(valid: list[boo
     episode = replace(marked_episode(7, len(valid)), valid=np.array(valid))
     segments = episode.segments()
     ticks = [segment.actions[:, 1].astype(int).tolist() for segment in segments]
-    assert sum(ticks, []) == np.flatnonzero(valid).tolist()
+    assert list(chain.from_iterable(ticks)) == np.flatnonzero(valid).tolist()
     for segment, mine in zip(segments, ticks, strict=True):
         assert segment.valid.all()
         assert mine == list(range(mine[0], mine[0] + len(segment)))
         assert segment.observations[:, 1].astype(int).tolist() == [*mine, mine[-1] + 1]
         assert np.array_equal(segment.requested_actions, segment.actions)
         assert np.array_equal(segment.desired_goal, episode.desired_goal)
-    for before, after in zip(ticks, ticks[1:], strict=False):
+    for before, after in pairwise(ticks):
         assert after[0] > before[-1] + 1  # maximal runs: two valid neighbours are never parted
 
 

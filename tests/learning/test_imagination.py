@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
+from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination import ImaginedRollouts, imagine
 from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals
 from tests.learning.stand_ins import (
+    CPU,
     deviation,
     drifting_ensemble,
     generator,
@@ -119,6 +121,20 @@ def test_rollouts_that_are_not_finite_are_dropped_and_counted_and_the_others_kep
     )
     assert len(rollouts.actions) == len(rollouts.spreads) == 4
     assert rollouts.spreads.isfinite().all()
+
+
+def test_a_start_that_is_not_finite_is_dropped_even_if_the_model_does_not_see_it() -> None:
+    # Its only hidden unit is 0 at such a start, so that every prediction is finite.
+    config = DynamicsConfig(members=1, hidden=(1,))
+    ensemble = DynamicsEnsemble(SHAPES, config, generator=generator(), device=CPU)
+    state = ensemble.state_dict()
+    state["members"]["0.0.weight"] = -torch.ones(1, OBS + SHAPES.action_dim)
+    ensemble.load_state_dict(state)
+    start = torch.zeros(3, OBS)
+    start[1, 3] = torch.inf
+    rollouts = roll(ensemble, start)
+    assert rollouts.dropped == 1
+    assert rollouts.goals[:, 0].tolist() == [0.0, 2.0]
 
 
 def test_where_every_rollout_diverges_none_is_kept() -> None:

@@ -110,9 +110,7 @@ def test_a_snapshot_acts_identically_after_a_safe_load(source_input: bool) -> No
     file.seek(0)
     copy = Policy.from_snapshot(torch.load(file, weights_only=True), device=CPU)
     assert torch.equal(copy.act(*inputs()), original.act(*inputs()))
-    assert not torch.equal(
-        copy.act(*inputs()), policy(1, source_input=source_input).act(*inputs())
-    )
+    assert not torch.equal(copy.act(*inputs()), policy(1, source_input=source_input).act(*inputs()))
     assert copy.snapshot().keys() == original.snapshot().keys()
     assert (copy.shapes, copy.hidden) == (original.shapes, original.hidden)
 

@@ -1,0 +1,154 @@
+"""Which data the learner keeps, mixes and takes its statistics from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import IMAGINED, REAL
+from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.point_mass import SHAPES, PointMassGoals
+from tests.learning.quick_learner import after, new, quick, real, rows
+from tests.learning.stand_ins import CPU, generator, marked_episode, stored
+
+TICKS = SHAPES.episode_ticks
+
+
+def test_the_dynamics_statistics_know_the_real_data_only() -> None:
+    learner = after(2, quick())
+    observation, action, following = stored(learner.real)
+    inputs = torch.cat([observation, action], dim=-1)
+    torch.testing.assert_close(learner.ensemble.input_normalizer.mean, inputs.mean(0))
+    every = torch.cat([observation, following])
+    assert torch.equal(learner.ensemble.obs_low, every.amin(0))
+    assert torch.equal(learner.ensemble.obs_high, every.amax(0))
+    imagined = torch.cat([stored(learner.imagined.replay)[i] for i in (0, 2)])
+    assert not torch.equal(imagined.amax(0), every.amax(0))
+
+
+def test_imagined_data_never_enter_the_real_store() -> None:
+    learner = new(quick())
+    everything: list[Episode] = []
+    for epoch in (1, 2):
+        everything += real(epoch)
+        learner.add_real(real(epoch))
+        learner.learn()
+        assert learner.imagined.replay.num_episodes > 0
+        expected = EpisodeReplay(SHAPES, capacity=12_000, source=REAL, device=CPU)
+        for e in everything:
+            arrays = (torch.as_tensor(x)[None] for x in (e.observations, e.actions, e.desired_goal))
+            expected.add(*arrays, epoch=1)
+        for mine, theirs in zip(stored(learner.real), stored(expected), strict=True):
+            assert torch.equal(mine, theirs)
+
+
+def holes() -> tuple[Episode, set[int]]:
+    valid = np.ones(TICKS, dtype=bool)
+    valid[[3, 7]] = False
+    return replace(marked_episode(0, TICKS), valid=valid), set(np.flatnonzero(valid).tolist())
+
+
+def test_neither_a_transition_nor_hindsight_spans_an_invalid_tick() -> None:
+    learner = new(quick())
+    episode, valid = holes()
+    learner.add_real([episode])
+    batch = learner.real.sample(3000, generator(), PointMassGoals(), future_fraction=0.8)
+    tick, goal_tick = batch.action[:, 1].int(), batch.goal[:, 1].int()
+    assert set(tick.tolist()) == valid
+    hindsight = batch.goal[:, 0] != -1
+    for begin, end in ((0, 3), (4, 7), (8, TICKS)):
+        mine = hindsight & (tick >= begin) & (tick < end)
+        assert mine.any()
+        assert goal_tick[mine].max() == end
+        assert (goal_tick > tick)[mine].all()
+
+
+def test_the_share_of_imagined_transitions_is_that_of_newly_collected_ones() -> None:
+    # The imaginary source keeps 3 rollouts only, and refills add none to the count.
+    learner = new(quick(replay={"capacity": 3 * TICKS}))
+    collected = 0
+    for epoch in (1, 2, 3):
+        episode, valid = holes()
+        learner.add_real([*real(epoch, 3), episode])
+        collected += 3 * TICKS + len(valid)
+        metrics = learner.learn()
+        imagined = epoch * 4 * 2 * TICKS
+        assert metrics["real_transitions"] == collected
+        assert metrics["imagined_transitions"] == imagined
+        assert metrics["imagined_stored"] == 3 * TICKS
+        assert metrics["imagined_share"] == pytest.approx(imagined / (imagined + collected))
+        told = learner.sample_batch().source
+        assert len(told) == 50
+        assert int((told == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
+
+
+def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
+    learner = new(quick(schedule={"workers": 3}))
+    learner.add_real(real(1))
+    assert len(learner.sample_batch().source) == 150
+
+
+def test_the_policys_statistics_are_those_of_real_data_and_relabelled_goals() -> None:
+    def goal_mean(fraction: float) -> float:
+        learner = new(quick(replay={"future_fraction": fraction}))
+        far = [replace(e, desired_goal=np.full(2, 100.0)) for e in real(1, 60)]
+        learner.add_real(far)
+        return float(learner.policy.goal_normalizer.mean.mean())
+
+    assert goal_mean(0.0) == pytest.approx(100.0)
+    assert abs(goal_mean(1.0)) < 1.0
+    assert goal_mean(0.8) == pytest.approx(20.0, abs=6.0)
+
+    learner = new(quick())
+    for epoch in (1, 2):  # elsewhere in the second, so that each must be counted once
+        moved = [replace(e, observations=e.observations + epoch) for e in real(epoch, 100)]
+        learner.add_real(moved)
+    observation, _, _ = stored(learner.real)
+    normalizer = learner.policy.obs_normalizer
+    torch.testing.assert_close(normalizer.mean, observation.mean(0), atol=0.01, rtol=0)
+    torch.testing.assert_close(normalizer.std, observation.std(0), atol=0.01, rtol=0)
+    assert int(normalizer.state_dict()["count"]) == len(observation)
+
+
+def test_imagination_never_changes_the_policys_statistics() -> None:
+    learner = new(quick())
+    learner.add_real(real(1))
+    normalizers = learner.policy.obs_normalizer, learner.policy.goal_normalizer
+    before = [normalizer.state_dict() for normalizer in normalizers]
+    learner.learn()
+    for normalizer, state in zip(normalizers, before, strict=True):
+        for name, value in normalizer.state_dict().items():
+            assert torch.equal(value, state[name]), name
+
+
+@pytest.mark.parametrize("regenerate", [True, False])
+def test_old_imagined_data_survive_a_model_update_only_without_regeneration(
+    regenerate: bool,
+) -> None:
+    learner = new(quick(imagination={"regenerate": regenerate}))
+    learner.add_real(real(1))
+    learner.learn()
+    old = rows(learner.imagined.replay)
+    learner.add_real(real(2))
+    learner.learn()
+    new_rows = rows(learner.imagined.replay)
+    assert len(new_rows) == 2 * len(old)
+    assert (old & new_rows) == (set() if regenerate else old)
+
+
+def test_without_regeneration_the_oldest_imagined_data_go_first() -> None:
+    config = quick(imagination={"regenerate": False}, replay={"capacity": 12 * TICKS})
+    learner = new(config)
+    learner.add_real(real(1))
+    learner.learn()  # 8 rollouts
+    _, old, _ = stored(learner.imagined.replay)
+    learner.add_real(real(2))
+    learner.learn()  # 8 more, for 12 places
+    _, now, _ = stored(learner.imagined.replay)
+    assert {tuple(row) for row in old.tolist()} & {tuple(row) for row in now.tolist()} == {
+        tuple(row) for row in old[4 * TICKS :].tolist()
+    }
