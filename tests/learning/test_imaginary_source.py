@@ -108,16 +108,19 @@ def test_too_few_copies_share_the_level_equally() -> None:
     assert actors(imagined) == [0.9] * 8 + [0.2] * 8
 
 
-def test_copies_do_not_follow_the_policy_and_keep_its_normaliser() -> None:
-    imagined = filled(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 1}), cycles=2)
+def test_copies_do_not_follow_the_policy_and_keep_their_normalisers() -> None:
+    imagined = filled(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 1}), cycles=3)
     policy = linear_policy(goal_gain=0.5)
     policy.obs_normalizer.update(torch.full((4, OBS), 10.0))  # a position of 0 is now far below
     imagined.keep_copy(policy, 1)
+    policy.obs_normalizer.update(torch.full((400, OBS), -10.0))  # and now far above
+    imagined.keep_copy(policy, 2)
     policy.load_snapshot(linear_policy((0.1, 0.0)).snapshot())
     refill(imagined, drifting_ensemble(0.0), policy=policy)
     assert actors(imagined)[0] == pytest.approx(0.1)
     _, action, _ = stored(imagined.replay)
-    assert (action[TICKS:] > 0.999).all()  # 0.5 * (goal + 10 / 0.01)
+    assert (action[TICKS : 2 * TICKS] < -0.9).all()
+    assert (action[2 * TICKS :] > 0.9).all()
 
 
 def test_copies_beyond_the_capacity_are_forgotten_the_oldest_first() -> None:
@@ -160,6 +163,15 @@ def test_dropped_rollouts_are_counted_and_made_up_for_in_a_refill() -> None:
     assert 0 < report["imagined_dropped"] < 1
     assert imagined.level == imagined.replay.num_transitions == level
     assert (stored(imagined.replay)[0][:, 0] == 0).all()
+
+
+def test_a_few_rollouts_dropped_by_chance_at_the_end_do_not_stop_a_refill() -> None:
+    ensemble, starts = overflowing()
+    imagined = source(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 60}))
+    imagined.imagine_cycle(ensemble, linear_policy(), starts, epoch=1)
+    for _ in range(20):  # each ends with passes of one or two rollouts, half of them bad
+        refill(imagined, ensemble, starts=starts)
+        assert imagined.replay.num_transitions == imagined.level
 
 
 def test_a_refill_of_which_nothing_is_finite_fails_with_what_to_do() -> None:

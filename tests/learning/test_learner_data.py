@@ -46,6 +46,19 @@ def test_imagined_data_never_enter_the_real_store() -> None:
             assert torch.equal(mine, theirs)
 
 
+def test_real_transitions_carry_the_epoch_of_their_collection_also_after_a_restart() -> None:
+    learner, resumed = new(quick()), new(quick())
+    epochs = [[marked_episode(epoch, TICKS)] * epoch for epoch in (1, 2, 3)]
+    for episodes in epochs:
+        learner.add_real(episodes)
+    resumed.load_state_dict(learner.state_dict(), epochs)
+    for replay in (learner.real, resumed.real):
+        for epoch in (1, 2, 3):
+            only = torch.eye(4)[epoch]
+            _, action, _ = replay.steps(*replay.draw(100, generator(), only))
+            assert set(action[:, 0].tolist()) == {float(epoch)}
+
+
 def holes() -> tuple[Episode, set[int]]:
     valid = np.ones(TICKS, dtype=bool)
     valid[[3, 7]] = False
