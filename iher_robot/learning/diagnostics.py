@@ -44,7 +44,8 @@ def open_loop_error(
 
     Returns:
         Mean distance of the model's prediction, and of predicting no change, in the goal's
-        unit; ``(nan, nan)`` where no episode is that long.
+        unit. The first is nan where a prediction is not finite, both where no episode is that
+        long.
     """
     device = ensemble.obs_low.device
     windows = [
@@ -80,7 +81,7 @@ def open_loop_error(
     predicted = goal_model.achieved_goal(rollouts.observations[:, -1])
     model = torch.linalg.vector_norm(predicted - rollouts.goals, dim=-1).mean()
     still = torch.linalg.vector_norm(goal_model.achieved_goal(start) - real, dim=-1).mean()
-    return float(model), float(still)
+    return float("nan") if rollouts.dropped else float(model), float(still)
 
 
 def imagined_success(

@@ -80,9 +80,13 @@ class ImaginarySource:
 
         Returns:
             What the rollouts show.
+
+        Raises:
+            FloatingPointError: No rollout is finite, now and before.
         """
         count = self.config.schedule.imaginary_episodes
         report = self.add_rollouts(ensemble, policy, starts, count, epoch=epoch)
+        self._require_rollouts()
         self.collected += int(report.pop("kept")) * self.shapes.episode_ticks
         self.level = self.replay.num_transitions
         return report
@@ -127,14 +131,17 @@ class ImaginarySource:
                     count = min(CHUNK, wanted - start)
                     meter.add(self.add_rollouts(ensemble, each, starts, count, epoch=epoch))
                     progress("imagine", self.replay.num_transitions, self.level)
-            # A later pass may ask for so few rollouts that all of them are dropped by chance.
-            if self.replay.num_episodes == 0:
-                raise FloatingPointError(
-                    f"every imagined rollout held a value that is not finite: {DIVERGED}"
-                )
+            self._require_rollouts()
         report = meter.means()
         report.pop("kept", None)
         return report
+
+    def _require_rollouts(self) -> None:
+        # Not those of one call: it may want so few that all of them are dropped by chance.
+        if self.replay.num_episodes == 0:
+            raise FloatingPointError(
+                f"every imagined rollout held a value that is not finite: {DIVERGED}"
+            )
 
     def _missing(self) -> int:
         """Episodes that are missing to the source's level."""

@@ -133,7 +133,6 @@ def test_a_physical_robot_must_hold_on_silence() -> None:
         (lambda: changed({"command_kinds": ()}), "no command kind"),
         (lambda: ObjectSource("camera", "world", 0.0), "max_age_s is 0.0"),
     ],
-    ids=str,
 )
 def test_a_contradictory_description_is_an_error(build: object, message: str) -> None:
     assert callable(build)
