@@ -65,6 +65,7 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         UserError: A setting that this machine or this robot cannot meet.
     """
     device = pick_device(config.device)
+    torch.set_num_threads(config.threads)
     torch.set_float32_matmul_precision(config.learner.matmul_precision)
     with ExitStack() as stack:
         env = stack.enter_context(make_env(config.task, config.driver))
