@@ -11,13 +11,13 @@ KIND = "checkpoint"
 VERSION = 1
 
 
-def save_checkpoint(path: Path, learner: dict[str, Any], run: dict[str, float | int]) -> None:
+def save_checkpoint(path: Path, *, learner: dict[str, Any], run: dict[str, Any]) -> None:
     """Replace the checkpoint; a crash leaves the old one or the new one.
 
     Args:
         path: The file.
         learner: What ``Learner.state_dict`` returned.
-        run: Counters of the run.
+        run: Settings, counters and metrics of the run.
 
     Raises:
         UserError: The system refuses, such as on a full disk; the old checkpoint is still there.

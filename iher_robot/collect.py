@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
@@ -16,8 +15,6 @@ from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.policy import Policy, explore
 
 Array = NDArray[np.floating]
-OnEnd = Callable[["Recorder", int], None]
-"""Called with what was recorded and the source that the policy was told."""
 
 
 class Stream(IntEnum):
@@ -52,17 +49,19 @@ class Recorder:
         ticks: Control ticks charged so far; the one in flight counts, since the robot may have
             moved in it.
         success: Whether the last step met the goal.
+        told_source: Source that the policy is told.
     """
 
-    def __init__(self, observation: Observation) -> None:
-        """Start from the observation of a reset."""
+    def __init__(self) -> None:
         self.ticks = 0
         self.success = False
-        self._observations = [observation["observation"]]
-        self._goal = observation["desired_goal"]
-        self._applied: list[Array] = []
-        self._requested: list[Array] = []
-        self._valid: list[bool] = []
+        self.told_source = REAL
+        self._start: Observation | None = None
+        self._steps: list[tuple[Array, Array, Array, bool]] = []
+
+    def start(self, observation: Observation) -> None:
+        """Take the observation of a reset."""
+        self._start = observation
 
     def step(self, env: GoalRobotEnv, action: Array) -> Observation:
         """Step the robot by one control tick and record it.
@@ -80,23 +79,23 @@ class Recorder:
         self.ticks += 1
         observation, _, _, _, info = env.step(action)
         self.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
-        self._observations.append(observation["observation"])
-        self._requested.append(action)
-        self._applied.append(info["action_applied"])
-        self._valid.append(bool(info["tick_valid"]))
+        # One append: an interrupt finds the whole tick in the record, or nothing of it.
+        valid = bool(info["tick_valid"])
+        self._steps.append((observation["observation"], info["action_applied"], action, valid))
         self.success = bool(info["is_success"])
         return observation
 
     def episode(self) -> Episode | None:
         """The ticks recorded whole, as an episode; None before the first."""
-        if not self._applied:
+        if self._start is None or not self._steps:
             return None
+        observations, applied, requested, valid = zip(*self._steps, strict=True)
         return Episode(
-            observations=np.stack(self._observations),
-            actions=np.stack(self._applied),
-            requested_actions=np.stack(self._requested),
-            valid=np.array(self._valid),
-            desired_goal=self._goal,
+            observations=np.stack([self._start["observation"], *observations]),
+            actions=np.stack(applied),
+            requested_actions=np.stack(requested),
+            valid=np.array(valid),
+            desired_goal=self._start["desired_goal"],
         )
 
 
@@ -121,44 +120,34 @@ def choose_action(policy: Policy, observation: Observation, source: int) -> torc
 def run_episode(
     env: GoalRobotEnv,
     policy: Policy,
+    recorder: Recorder,
     *,
     seed: int,
     ticks: int,
     exploration: ExplorationConfig | None = None,
-    on_end: OnEnd | None = None,
-) -> Recorder:
-    """Run one episode; ``on_end`` receives what was recorded however it ends.
+) -> None:
+    """Run one episode; the robot is left held and disarmed however it ends.
 
     Args:
-        env: The environment. It arms the robot at reset and is left held and disarmed.
+        env: The environment. It arms the robot at reset.
         policy: A policy on the CPU: one action at a time is no work for a GPU.
+        recorder: Takes every tick; the caller has it also when this raises.
         seed: Decides start, goal and noise.
         ticks: Most ticks to run.
         exploration: Noise on the actions, or None for none.
-        on_end: Called once with the recorder and the source that the policy was told, before
-            any exception goes on, an interrupt included.
-
-    Returns:
-        The recorder.
     """
     generator = torch.Generator().manual_seed(seed)
-    told = REAL
     if exploration is not None and torch.rand((), generator=generator) < exploration.source_flip:
-        told = IMAGINED
-    observation, _ = env.reset(seed=seed)
-    recorder = Recorder(observation)
+        recorder.told_source = IMAGINED
     try:
+        observation, _ = env.reset(seed=seed)
+        recorder.start(observation)
         while recorder.ticks < ticks:
-            action = choose_action(policy, observation, told)
+            action = choose_action(policy, observation, recorder.told_source)
             if exploration is not None:
                 action = explore(action, exploration, generator)
             observation = recorder.step(env, action[0].numpy())
     except EpisodeAborted:
         recorder.success = False  # what was recorded until then is kept, and learned from
     finally:
-        try:
-            env.hold()
-        finally:
-            if on_end is not None:
-                on_end(recorder, told)
-    return recorder
+        env.hold()

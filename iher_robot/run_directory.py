@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -74,10 +74,13 @@ class RunDirectory:
         directory = cls(path)
         if not path.is_dir():
             raise UserError(f"there is no run folder at {path}")
-        for needed in (directory.config_path, directory.ledger_path):
+        needed = [directory.config_path]
+        if directory.episodes_path.exists():
             # Without its ledger a run would spend its budget a second time.
-            if not needed.is_file():
-                raise UserError(f"{path} is no run that can be resumed: it has no {needed.name}")
+            needed.append(directory.ledger_path)
+        for file in needed:
+            if not file.is_file():
+                raise UserError(f"{path} is no run that can be resumed: it has no {file.name}")
         return directory
 
     def append_metrics(self, row: Row) -> None:
@@ -120,14 +123,10 @@ class RunDirectory:
             rows.append(row)
         return rows
 
-    def keep_metrics_until(self, epoch: int) -> None:
-        """Drop metrics of epochs after a checkpoint's, which a resumed run measures again.
-
-        Args:
-            epoch: Last epoch to keep; rows without ``epoch`` are dropped.
-        """
-        kept = [row for row in self.read_metrics() if row.get("epoch", math.inf) <= epoch]
-        text = "".join(json.dumps(row) + "\n" for row in kept)
+    def replace_metrics(self, rows: Sequence[Row]) -> None:
+        """Write all lines of the metrics anew, as a checkpoint has them."""
+        lines = (json.dumps(_plain(row), allow_nan=False) + "\n" for row in rows)
+        text = "".join(lines)
         write_atomically(self.metrics_path, lambda file: file.write(text.encode()))
 
 

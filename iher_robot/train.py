@@ -15,7 +15,7 @@ from iher_robot.callable_module import make_module_callable
 from iher_robot.config import dump_config, load_config, read_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.ledger import Ledger
-from iher_robot.provenance import collect_provenance, write_provenance
+from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
 from iher_robot.training_run import TrainingRun
 from iher_robot.workcell import Workcell, open_workcell
@@ -48,11 +48,12 @@ class TrainResult:
 
     def summary(self) -> str:
         """The result in a few lines."""
+        epochs = "epoch" if self.epochs == 1 else "epochs"
         wall = datetime.timedelta(seconds=round(self.wall_seconds))
         return (
             f"{self.success_rate:.0%} success in the last evaluation, after "
             f"{self.robot_minutes:.2f} of {self.budget_minutes:g} robot minutes, "
-            f"{self.epochs} epochs, {wall} of wall clock\n"
+            f"{self.epochs} {epochs}, {wall} of wall clock\n"
             f"policy  {self.policy}\n"
             f"plot    {self.plot}\n"
             f"check   iher-robot evaluate {self.policy} --episodes 100 --official"
@@ -131,7 +132,6 @@ def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
-        write_provenance(directory.provenance_path, provenance)
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
         title = f"{config.task} on {config.driver}, {config.algo}, {config.preset}"
         shown = stack.enter_context(

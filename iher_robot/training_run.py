@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -11,8 +10,9 @@ import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
-from iher_robot.checkpoint import load_checkpoint, save_checkpoint
+from iher_robot.checkpoint import save_checkpoint
 from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
+from iher_robot.config import dump_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
@@ -24,6 +24,8 @@ from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Account, Budget, Entry, Ledger
 from iher_robot.plot import plot_success
 from iher_robot.policy_file import save_policy
+from iher_robot.provenance import write_provenance
+from iher_robot.restore import restore
 from iher_robot.run_directory import RunDirectory
 from iher_robot.trained_policy import trained_policy
 from iher_robot.workcell import Workcell
@@ -93,22 +95,25 @@ class TrainingRun:
         return self.rows[-1]
 
     def _restore(self) -> None:
-        """Bring back what the run folder holds; episodes of an unfinished epoch stay pending."""
-        state = load_checkpoint(self.directory.checkpoint_path)
-        finished = 0 if state is None else int(state["learner"]["epoch"])
-        self.directory.keep_metrics_until(finished)
-        self.rows = self.directory.read_metrics()
-        by_epoch: dict[int, list[Episode]] = defaultdict(list)
-        for stored in self.store:
-            if stored.account == "motion":
-                by_epoch[stored.epoch].append(stored.episode)
-                self.collected += 1
-        self.pending = by_epoch[finished + 1]
-        if state is not None:
-            epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
-            self.learner.load_state_dict(state["learner"], epochs)
-            self.seconds_before = float(state["run"]["wall_seconds"])
+        """Bring back what the run folder holds; episodes of an unfinished epoch stay pending.
+
+        Everything is checked before anything is written.
+        """
+        restored = restore(self.directory, self.config, self.store, self.budget.spent_ticks)
+        self.rows = restored.rows
+        self.pending = restored.pending
+        self.collected = len(restored.pending) + sum(map(len, restored.by_epoch))
+        if restored.learner is not None:
+            self.learner.load_state_dict(restored.learner, restored.by_epoch)
+            self.seconds_before = self.rows[-1]["wall_seconds"]
             self.display.resume(self.rows[-1])
+        if self.collected:
+            self.display.announce(
+                f"going on after epoch {len(self.rows)}, with {self.collected} real episodes and "
+                f"{self._minutes:.2f} robot minutes spent"
+            )
+        self.directory.replace_metrics(self.rows)
+        write_provenance(self.directory.provenance_path, self.provenance)
 
     def _done(self) -> bool:
         rates = [row["success"] for row in self.rows if "success" in row][-2:]
@@ -157,34 +162,28 @@ class TrainingRun:
         exploration: ExplorationConfig | None,
     ) -> Recorder:
         """Run an episode that is charged and kept, whatever ends it."""
-        begun = False
+        recorder = Recorder()
         with reservation as entry:
-
-            def keep(recorder: Recorder, told_source: int) -> None:
-                nonlocal begun
-                begun = True
+            try:
+                run_episode(
+                    self.cell.env,
+                    policy,
+                    recorder,
+                    seed=seed,
+                    ticks=ticks,
+                    exploration=exploration,
+                )
+            finally:
                 episode = recorder.episode()
                 if episode is not None:
                     self.store.append(
                         episode,
                         epoch=self.learner.epoch + 1,
-                        told_source=told_source,
+                        told_source=recorder.told_source,
                         account=account,
                     )
-                entry.settle(recorder.ticks)
-
-            try:
-                return run_episode(
-                    self.cell.env,
-                    policy,
-                    seed=seed,
-                    ticks=ticks,
-                    exploration=exploration,
-                    on_end=keep,
-                )
-            finally:
-                if not begun:  # the reset failed: no tick of the episode was run
-                    entry.settle(0)
+                entry.settle(recorder.ticks)  # last: a failure before it leaves all charged
+        return recorder
 
     def _learn(self) -> None:
         """Learn from the epoch's episodes, evaluate, and write everything down."""
@@ -192,8 +191,9 @@ class TrainingRun:
         row: Row = {
             "robot_minutes": self._minutes,
             "episodes": self.collected,
-            "object_moved": float(np.mean([self._moved(e) for e in self.pending])),
         }
+        if self.cell.env.task.layout.object_entry is not None:
+            row["object_moved"] = float(np.mean([self._moved(e) for e in self.pending]))
         try:
             row |= self.learner.learn(self.display.phase)
         except FloatingPointError as error:
@@ -224,7 +224,9 @@ class TrainingRun:
                 return self._robot_episode(
                     "evaluation", reservation, policy, seed=seed, ticks=ticks, exploration=None
                 )
-            return run_episode(self.cell.simulator, policy, seed=seed, ticks=ticks)
+            recorder = Recorder()
+            run_episode(self.cell.simulator, policy, recorder, seed=seed, ticks=ticks)
+            return recorder
 
         evaluation = run_evaluation(
             run_one, seeds, lambda done: self.display.phase("evaluate", done, count)
@@ -232,7 +234,7 @@ class TrainingRun:
         return {"success": evaluation.success_rate} | diagnose(self.learner, evaluation.episodes)
 
     def _write(self, row: Row) -> None:
-        # Metrics first: on resume, rows newer than the checkpoint are cut off again.
+        # Metrics first: on resume, they are replaced by those of the checkpoint.
         self.directory.append_metrics(row)
         for name, value in row.items():
             self.writer.add_scalar(name, value, int(row["epoch"]))
@@ -243,8 +245,12 @@ class TrainingRun:
         )
         save_checkpoint(
             self.directory.checkpoint_path,
-            self.learner.state_dict(),
-            {"wall_seconds": row["wall_seconds"]},
+            learner=self.learner.state_dict(),
+            run={
+                "config": dump_config(self.config),
+                "episodes": self.collected,
+                "rows": self.rows,
+            },
         )
         self._plot()
         self.display.epoch(row)

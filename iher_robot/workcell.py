@@ -46,7 +46,7 @@ class Workcell:
         )
         return (
             f"{self.config.budget_minutes:g} robot minutes are {self.budget_ticks:,} ticks of "
-            f"{period_ms:g} ms: {episodes:,} episodes of {per_episode}, each with a reset; "
+            f"{period_ms:g} ms: {episodes:,} episodes of up to {per_episode}, each with a reset; "
             f"evaluation runs {place}"
         )
 

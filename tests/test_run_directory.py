@@ -100,15 +100,15 @@ def test_a_damaged_line_is_named(run: RunDirectory, line: bytes) -> None:
         run.read_metrics()
 
 
-def test_metrics_newer_than_the_checkpoint_are_dropped(run: RunDirectory) -> None:
+def test_metrics_are_replaced_by_those_of_a_checkpoint(run: RunDirectory) -> None:
     for epoch in range(1, 6):
         run.append_metrics({"epoch": epoch, "success": epoch / 7})
     kept = run.read_metrics()[:3]
-    run.keep_metrics_until(3)
+    run.replace_metrics(kept)
     assert run.read_metrics() == kept
     run.append_metrics({"epoch": 4})
     assert [row["epoch"] for row in run.read_metrics()] == [1, 2, 3, 4]
-    run.keep_metrics_until(0)
+    run.replace_metrics([])
     assert run.read_metrics() == []
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -256,6 +261,85 @@ def test_a_second_learner_cannot_spend_the_same_budget(
     run(tmp_path / "run", EPOCH_MINUTES)
     assert len(refused) == 1
     assert "in use" in refused[0]
+
+
+def _lose_ledger(run: Path) -> None:
+    for part in run.glob("ledger.sqlite*"):
+        part.unlink()
+    Ledger(run / "ledger.sqlite").close()
+
+
+def _edit_config(run: Path) -> None:
+    text = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(text.replace("budget_minutes: 0.2", "budget_minutes: 99.0"))
+
+
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "ledger.sqlite": _lose_ledger,
+    "config.yaml": _edit_config,
+    "checkpoint.pt": lambda run: (run / "checkpoint.pt").unlink(),
+    "episodes": lambda run: (run / "episodes" / "episode-000003.npz").unlink(),
+    "episode-000001.npz": lambda run: (run / "episodes" / "episode-000001.npz").write_bytes(b"x"),
+}
+
+
+@pytest.fixture(scope="module")
+def two_epochs_of_three(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stopped") / "run"
+    with interruption(TrainingDisplay, "epoch", call=2):
+        run(folder, 0.2001)
+    return folder
+
+
+@pytest.mark.parametrize("part", DAMAGE)
+def test_a_run_that_lost_a_part_is_refused_and_left_as_it_is(
+    tmp_path: Path, two_epochs_of_three: Path, part: str
+) -> None:
+    folder = shutil.copytree(two_epochs_of_three, tmp_path / "run")
+    DAMAGE[part](folder)
+    watched = ("metrics.jsonl", "provenance.json", "policy.pt")
+    before = {name: (folder / name).read_bytes() for name in watched}
+    with pytest.raises(UserError, match=re.escape(part)):
+        resume(folder, display=False)
+    assert {name: (folder / name).read_bytes() for name in watched} == before
+
+
+def test_lost_metrics_come_back_from_the_checkpoint(
+    tmp_path: Path, two_epochs_of_three: Path
+) -> None:
+    folder = shutil.copytree(two_epochs_of_three, tmp_path / "run")
+    (folder / "metrics.jsonl").write_bytes(b"junk")
+    resume(folder, display=False)
+    assert metrics(folder)[:2] == metrics(two_epochs_of_three)
+    assert [row["epoch"] for row in metrics(folder)] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("line", ["self.success = bool", "self._steps.append", "observation, _, _"])
+def test_an_interrupt_within_a_tick_keeps_whole_ticks_and_counts_that_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    original = Recorder.step
+    source, first = inspect.getsourcelines(original)
+    number = first + next(i for i, text in enumerate(source) if line in text)
+
+    def trace(frame: FrameType, event: str, _: object) -> Any:
+        if frame.f_code is not original.__code__:
+            return None
+        if event == "line" and frame.f_lineno == number:
+            sys.settrace(None)
+            raise Interruption
+        return trace
+
+    def traced(self: Recorder, env: GoalRobotEnv, action: Any) -> Any:
+        if self.ticks == 7:
+            sys.settrace(trace)
+        return original(self, env, action)
+
+    monkeypatch.setattr(Recorder, "step", traced)
+    with pytest.raises(Interruption):
+        run(tmp_path / "run", EPOCH_MINUTES)
+    assert stored_ticks(tmp_path / "run") == (8 if line.startswith("self.success") else 7)
+    assert motion_ticks(tmp_path / "run") == 8
 
 
 def test_bad_settings_leave_no_folder(tmp_path: Path) -> None:
