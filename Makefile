@@ -2,6 +2,7 @@
 # make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
 # make test                           the test suite; ARGS="-k name" selects
 # make check                          format, lint, types, floors
+# make bench                          speeds on this machine, with medians (bench/throughput.py)
 # make clean                          remove the environment, builds and caches; never runs/
 
 TASK ?= push
@@ -15,7 +16,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train test check format clean
+.PHONY: train test check bench format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -29,6 +30,9 @@ check: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+bench: .venv/dev
+	OMP_NUM_THREADS=1 $(BIN)/python bench/throughput.py $(ARGS)
 
 format: .venv/dev
 	$(BIN)/ruff format .

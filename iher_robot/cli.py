@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, NoReturn
 
 import typer
@@ -13,6 +18,8 @@ from iher_robot import DriverError, TaskError, UserError, __version__
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+TERMINATED = 143
+_RESUMED_FROM = ("config.yaml", "ledger.sqlite")
 
 app = typer.Typer(
     name="iher-robot",
@@ -22,6 +29,14 @@ app = typer.Typer(
 )
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM arrived: whatever a Ctrl-C settles, holds and disarms, this does too."""
+
+
+class _Stopped(Exception):
+    """A command was interrupted; typer would turn the interrupt itself into a bare exit code."""
+
+
 def _print_version(asked: bool) -> None:
     if asked:
         typer.echo(f"iher-robot {__version__}")
@@ -29,14 +44,20 @@ def _print_version(asked: bool) -> None:
 
 
 def _success_threshold(text: str) -> float | None:
-    if text == "off":
+    if text.strip().lower() == "off":
         return None
     try:
         return float(text)
     except ValueError:
         raise UserError(
-            f"--until-success is {text!r}; give a success rate from 0 to 1, or 'off'"
+            f"--until-success is {text!r}, allowed: off or a finite number, above 0 and up to 1"
         ) from None
+
+
+def _folder(text: str | None, option: str) -> Path | None:
+    if text is not None and not text.strip():
+        raise UserError(f"{option} is {text!r}, allowed: the path of a folder")
+    return None if text is None else Path(text)
 
 
 @app.callback()
@@ -72,45 +93,52 @@ def train(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of every draw of the run.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to make for the run, by default under runs/.")
+        str | None,
+        typer.Option(metavar="DIR", help="Folder to make for the run, by default under runs/."),
     ] = None,
     resume: Annotated[
-        Path | None,
-        typer.Option(help="Folder of a stopped run to continue, as it was configured."),
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
+        ),
     ] = None,
     until_success: Annotated[
         str, typer.Option(help="Stop when two evaluations in a row reach this rate, or off.")
     ] = "1.0",
-    device: Annotated[str, typer.Option(help="auto, cpu, or a torch device.")] = "auto",
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     display: Annotated[
         bool, typer.Option("--display/--quiet", " /--no-display", help="The live display.")
     ] = True,
 ) -> None:
     """Learn a task within a budget of robot minutes and leave a policy."""
-    if resume is not None:
+    folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
+    if stopped is not None:
         _refuse_settings_beside_resume(context)
-        from iher_robot.train import resume as resume_run
+        with _told_when_interrupted(stopped):
+            from iher_robot.train import resume as resume_run
 
-        typer.echo(resume_run(resume, display=display).summary())
+            result = resume_run(stopped, display=display)
+        typer.echo(result.summary())
         return
     if task is None:
         raise UserError("no task given; name one with --task, or a stopped run with --resume")
     until = _success_threshold(until_success)
-    from iher_robot.train import train as train_run
+    with _told_when_interrupted(folder):
+        from iher_robot.train import train as train_run
 
-    result = train_run(
-        task=task,
-        driver=driver,
-        preset=preset,
-        algo=algo,
-        budget_minutes=budget_minutes,
-        overrides=overrides or (),
-        seed=seed,
-        out=out,
-        until_success=until,
-        device=device,
-        display=display,
-    )
+        result = train_run(
+            task=task,
+            driver=driver,
+            preset=preset,
+            algo=algo,
+            budget_minutes=budget_minutes,
+            overrides=overrides or (),
+            seed=seed,
+            out=folder,
+            until_success=until,
+            device=device,
+            display=display,
+        )
     typer.echo(result.summary())
 
 
@@ -132,17 +160,18 @@ def evaluate(
     ] = None,
 ) -> None:
     """Measure a policy's success rate over fresh episodes."""
-    from iher_robot.evaluate import evaluate as evaluate_policy
+    with _told_when_interrupted(None):
+        from iher_robot.evaluate import evaluate as evaluate_policy
 
-    result = evaluate_policy(
-        policy,
-        episodes=episodes,
-        seed=seed,
-        official=official,
-        driver=driver,
-        task=task,
-        video=video,
-    )
+        result = evaluate_policy(
+            policy,
+            episodes=episodes,
+            seed=seed,
+            official=official,
+            driver=driver,
+            task=task,
+            video=video,
+        )
     typer.echo(result.summary())
 
 
@@ -165,13 +194,53 @@ def _is_given(context: typer.Context, name: str | None) -> bool:
     return source is not None and source.name != "DEFAULT"
 
 
+@contextmanager
+def _told_when_interrupted(folder: Path | None) -> Iterator[None]:
+    """Say after an interrupt what is left to continue, as far as that is known.
+
+    Args:
+        folder: The run's folder, if it was named; the notes of the interrupt go first.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        notes = list(getattr(error, "__notes__", ()))
+        # Without settings and ledger there is nothing to resume.
+        if not notes and folder and all((folder / name).is_file() for name in _RESUMED_FROM):
+            notes = [f"continue with: iher-robot train --resume {shlex.quote(str(folder))}"]
+        raise _Stopped("; ".join(["interrupted", *notes])) from error
+
+
+@contextmanager
+def _sigterm_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM unwind the program as Ctrl-C does, instead of ending it on the spot."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set handlers
+        return
+
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001
+        # A second one must not cut short what settles the ledger and disarms the robot.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _fail(sentence: str, exit_code: int) -> NoReturn:
     typer.echo(f"iher-robot: {sentence}", err=True)
     sys.exit(exit_code)
 
 
+def _exit_code(interrupt: BaseException | None) -> int:
+    return TERMINATED if isinstance(interrupt, Terminated) else INTERRUPTED
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 done, 2 bad input, 130 interrupted.
+    """Run the command line and exit: 0 done, 2 bad input, 130 interrupted, 143 terminated.
 
     Args:
         arguments: The words after the program's name; by default those of the process.
@@ -181,16 +250,16 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     try:
-        code = app(args=words, prog_name="iher-robot", standalone_mode=False)
+        with _sigterm_as_interrupt():
+            code = app(args=words, prog_name="iher-robot", standalone_mode=False)
     except typer.TyperException as error:
         _fail(f"{error.format_message()} (see iher-robot --help)", BAD_INPUT)
     except (UserError, DriverError, TaskError) as error:
         _fail(str(error), BAD_INPUT)
-    except KeyboardInterrupt:
-        code = INTERRUPTED
+    except _Stopped as stopped:
+        _fail(str(stopped), _exit_code(stopped.__cause__))
+    except KeyboardInterrupt as error:
+        _fail("interrupted", _exit_code(error))
     if code == INTERRUPTED:
-        _fail(
-            "interrupted; iher-robot train --resume DIR continues a run from its folder",
-            INTERRUPTED,
-        )
+        _fail("interrupted", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)

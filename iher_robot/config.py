@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -15,6 +16,8 @@ from iher_robot.config_source import (
     Layer,
     algorithm_layer,
     format_yaml,
+    is_preset_file,
+    option_layer,
     override_layer,
     parse_mapping,
     preset_layer,
@@ -57,8 +60,8 @@ class RunConfig(_Section):
     threads: int = Field(default=1, ge=1, le=1024)
     """Threads of torch's matrix products on the CPU. Batches of 256 gain nothing from more, and
     where another program wants the second core, waiting for it costs most of the speed."""
-    budget_minutes: float = Field(default=40.0, gt=0, allow_inf_nan=False)
-    """Robot minutes: control ticks times the control period."""
+    budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
+    """Robot minutes: control ticks times the control period; at most about two years."""
     until_success: float | None = Field(default=1.0, gt=0, le=1)
     """Stop early at this success rate; ``off`` spends the whole budget."""
     evaluation: EvaluationConfig = EvaluationConfig()
@@ -67,13 +70,19 @@ class RunConfig(_Section):
     @field_validator("until_success", mode="before")
     @classmethod
     def _off_is_none(cls, value: object) -> object:
-        return None if value == "off" else value
+        return None if isinstance(value, str) and value.lower() == "off" else value
 
 
 _KEYS = Keys(RunConfig)
 
 
-def load_config(task: str, preset: str, algo: str, overrides: Sequence[str]) -> RunConfig:
+def load_config(
+    task: str,
+    preset: str,
+    algo: str,
+    overrides: Sequence[str],
+    options: Mapping[str, object] = MappingProxyType({}),
+) -> RunConfig:
     """Resolve the settings of a new run; later layers win.
 
     Args:
@@ -81,14 +90,22 @@ def load_config(task: str, preset: str, algo: str, overrides: Sequence[str]) -> 
         preset: Name of a preset, or the path of a YAML file.
         algo: Name of an algorithm.
         overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
+        options: Settings that have an option of their own, which errors name: budget_minutes,
+            seed, device, until_success, driver.
 
     Returns:
-        Typed defaults, then the preset's file for the task, the algorithm's and the overrides.
+        Typed defaults, then the preset's file for the task, the algorithm's, the options and the
+        overrides.
 
     Raises:
         UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
     """
-    layers = [preset_layer(preset, task), algorithm_layer(algo), *map(override_layer, overrides)]
+    layers = [
+        preset_layer(preset, task),
+        algorithm_layer(algo),
+        *(option_layer(key, value) for key, value in options.items()),
+        *map(override_layer, overrides),
+    ]
     for layer in layers:
         for key, option in _CHOSEN.items():
             if key in layer.values:
@@ -106,19 +123,33 @@ def read_config(path: Path) -> RunConfig:
     """Read what ``dump_config`` wrote; the result equals the dumped settings exactly.
 
     Raises:
-        UserError: The file is missing, not valid YAML, or holds unknown keys or bad values.
+        UserError: The file is missing, not valid YAML, or incomplete, or holds unknown keys, bad
+            values, or a preset or an algorithm that does not exist.
     """
-    return _resolve([Layer(str(path), parse_mapping(read_file(path, "config file"), str(path)))])
+    layer = Layer(str(path), parse_mapping(read_file(path, "config file"), str(path)))
+    given = _KEYS.flatten(layer)
+    missing = [key for key in _KEYS.leaves if key not in given]
+    if missing:
+        # Not filled up with defaults: the run would go on as another one than it was.
+        raise UserError(f"{path} is damaged: it has no {missing[0]}; restore it as it was")
+    config = _resolve([layer])
+    try:
+        algorithm_layer(config.algo)
+        if not is_preset_file(config.preset):  # one's own may be gone; its values are all here
+            preset_layer(config.preset, config.task)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    return config
 
 
 def _resolve(layers: Sequence[Layer]) -> RunConfig:
     values: dict[str, Any] = {}
-    origins: dict[str, str] = {}
+    origins: dict[str, Layer] = {}
     for layer in layers:
         for key, value in _KEYS.flatten(layer).items():
-            values[key], origins[key] = value, layer.origin
+            values[key], origins[key] = value, layer
             if _has_non_finite(value):
-                raise UserError(_KEYS.out_of_range(key, value, layer.origin))
+                raise UserError(_KEYS.out_of_range(key, value, layer))
     try:
         # Through JSON, for its strict mode: a list is a tuple, but true is no number and "3" is
         # no integer.

@@ -24,6 +24,8 @@ _TYPE_NAMES = {
 }
 _LOWER = (("gt", "{} < "), ("ge", "{} <= "))
 _UPPER = (("lt", " < {}"), ("le", " <= {}"))
+_LOWER_IN_WORDS = (("gt", "above {}"), ("ge", "{} or more"))
+_UPPER_IN_WORDS = (("lt", "below {}"), ("le", "up to {}"))
 
 
 class Keys:
@@ -84,7 +86,7 @@ class Keys:
             place[name] = value
         return nested
 
-    def explain(self, error: ValidationError, origins: Mapping[str, str]) -> list[str]:
+    def explain(self, error: ValidationError, origins: Mapping[str, Layer]) -> list[str]:
         """One sentence for each value that is not allowed.
 
         Args:
@@ -95,17 +97,19 @@ class Keys:
         for detail in error.errors(include_url=False):
             key = self._known_prefix([str(part) for part in detail["loc"]])
             if key in self.leaves and detail["type"] != "value_error":
-                origin = origins.get(key, "default")
+                origin = origins.get(key, Layer("default", {}))
                 sentences.append(self.out_of_range(key, detail["input"], origin))
             else:
                 sentences.append(f"{key}: {detail['msg'].removeprefix('Value error, ')}")
         return sentences
 
-    def out_of_range(self, key: str, value: object, origin: str) -> str:
+    def out_of_range(self, key: str, value: object, origin: Layer) -> str:
         """Sentence for a value that its key does not allow."""
-        shown = reprlib.repr(value)
-        allowed = describe_allowed(key.rpartition(".")[2], self.leaves[key])
-        return f"{origin}: {key} is {shown}, allowed: {allowed}"
+        shown, field = reprlib.repr(value), self.leaves[key]
+        if origin.option:
+            return f"{origin.origin} is {shown}, allowed: {describe_in_words(field)}"
+        allowed = describe_allowed(key.rpartition(".")[2], field)
+        return f"{origin.origin}: {key} is {shown}, allowed: {allowed}"
 
     def _known_prefix(self, parts: Sequence[str]) -> str:
         """Drop list indices and branches of unions that pydantic appends."""
@@ -117,11 +121,11 @@ class Keys:
 
     def _unknown(self, key: str, origin: str) -> UserError:
         near = self._nearest(key)
-        hint = f"did you mean {near!r}? " if near else ""
+        hint = f"; did you mean {near!r}?" if near else ""
         parent = key.rpartition(".")[0]
         place = f" in {parent}" if parent else ""
         return UserError(
-            f"{origin}: unknown key {key!r}; {hint}Valid{place}: {', '.join(self._below(parent))}"
+            f"{origin}: unknown key {key!r}, valid{place}: {', '.join(self._below(parent))}{hint}"
         )
 
     def _below(self, section: str) -> list[str]:
@@ -147,12 +151,23 @@ def describe_allowed(name: str, field: FieldInfo) -> str:
     return kind if bounds == name else f"{kind} with {bounds}"
 
 
+def describe_in_words(field: FieldInfo) -> str:
+    """Say it without the field's name, such as ``a number, above 0 and up to 1``."""
+    bounds = [_bound(field, _LOWER_IN_WORDS), _bound(field, _UPPER_IN_WORDS)]
+    said = " and ".join(filter(None, bounds))
+    return ", ".join(filter(None, [_describe_type(field.annotation), said]))
+
+
 def _bound(field: FieldInfo, forms: Sequence[tuple[str, str]]) -> str:
     for name, form in forms:
         for rule in field.metadata:
             if getattr(rule, name, None) is not None:
-                return form.format(getattr(rule, name))
+                return form.format(_number(getattr(rule, name)))
     return ""
+
+
+def _number(bound: float) -> str:
+    return f"{bound:.0f}" if bound >= 1e3 else str(bound)  # not 1000000.0
 
 
 def _describe_type(annotation: Any) -> str:

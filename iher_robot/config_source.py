@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+import os
 import re
 import textwrap
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from iher_robot.durable_file import read_file
@@ -26,10 +28,12 @@ class Layer:
     Attributes:
         origin: Where they are from, for messages.
         values: Nested mapping, not yet checked.
+        option: Whether the origin is an option that stands for its one key.
     """
 
     origin: str
     values: Mapping[Any, Any]
+    option: bool = False
 
 
 def preset_layer(preset: str, task: str) -> Layer:
@@ -42,9 +46,14 @@ def preset_layer(preset: str, task: str) -> Layer:
     Raises:
         UserError: No such preset, none for this task, or a file that is not valid YAML.
     """
-    if Path(preset).suffix in (".yaml", ".yml"):
+    if is_preset_file(preset):
         return Layer(preset, parse_mapping(read_file(Path(preset), "preset file"), preset))
     folders = {entry.name: entry for entry in _entries("presets") if entry.is_dir()}
+    if os.sep in preset:
+        raise UserError(
+            f"unknown preset {preset!r}: a path must be that of a YAML file, ending in .yaml or "
+            f".yml; the presets with a name are: {', '.join(sorted(folders))}"
+        )
     if preset not in folders:
         raise unknown_name("preset", preset, folders)
     files = {entry.name: entry for entry in folders[preset].iterdir()}
@@ -54,6 +63,11 @@ def preset_layer(preset: str, task: str) -> Layer:
         raise unknown_name(f"task of preset {preset!r}", task, tasks)
     origin = f"configs/presets/{preset}/{name}"
     return Layer(origin, parse_mapping(files[name].read_bytes(), origin))
+
+
+def is_preset_file(preset: str) -> bool:
+    """Whether a preset is the path of a user's own file."""
+    return Path(preset).suffix in (".yaml", ".yml")
 
 
 def algorithm_layer(algo: str) -> Layer:
@@ -88,6 +102,17 @@ def override_layer(override: str) -> Layer:
     for part in reversed(parts):
         value = {part: value}
     return Layer(origin, value)
+
+
+def option_layer(key: str, value: object) -> Layer:
+    """Setting that has an option of its own, such as ``--budget-minutes``.
+
+    Args:
+        key: The setting.
+        value: Its value, not text to be parsed; None is off.
+    """
+    plain = value.item() if isinstance(value, np.generic) else value
+    return Layer("--" + key.replace("_", "-"), {key: plain}, option=True)
 
 
 def parse_mapping(text: bytes, origin: str) -> Mapping[Any, Any]:

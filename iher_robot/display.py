@@ -60,6 +60,7 @@ class TrainingDisplay:
         self._clock = clock
         self._used = 0.0
         self._phase = ("starting", 0, 0)
+        self._done = False
         self._row: Row = {}
         self._evaluated: Row = {}
         self._started = clock()
@@ -82,6 +83,11 @@ class TrainingDisplay:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        # What the live display shows last stays on the terminal.
+        self._done = kind is None
+        if not self._done:
+            name, done, total = self._phase
+            self._phase = (f"stopped in {name}" if total else "stopped", done, total)
         self._live.__exit__(kind, error, trace)
 
     def announce(self, text: str) -> None:
@@ -146,7 +152,7 @@ class TrainingDisplay:
             f"epoch {_count(self._row.get('epoch'))}",
             f"{self._used:.2f} of {self.budget_minutes:g} min",
             f"success {_percent(self._row.get('success'))}",
-            f"object moved {_percent(self._row.get('object_moved'))}",
+            *([f"object moved {_percent(self._row['object_moved'])}"] if self._has_object else []),
             f"{_count(self._row.get('updates_per_second'))} updates/s",
             f"{_count(self._row.get('imagined_transitions'))} imagined",
             f"{self._elapsed()} elapsed",
@@ -156,7 +162,7 @@ class TrainingDisplay:
 
     def render(self) -> RenderableType:
         """The display as it is now."""
-        name, done, total = self._phase
+        name, done, total = ("done", 1, 1) if self._done else self._phase
         width = min(_WIDTH, self.console.width)
         bars = Table.grid(padding=(0, 2), expand=True)
         bars.add_column(style="dim", min_width=_LABEL_WIDTH)
@@ -165,8 +171,9 @@ class TrainingDisplay:
         left = max(0.0, self.budget_minutes - self._used)
         used = f"{self._used:.2f} used, {left:.2f} left"
         bars.add_row("robot minutes", _bar(self._used, self.budget_minutes), used)
-        working = f"{name} {_count(done)} of {_count(total)}" if total else name
-        number = _count(self._row.get("epoch", 0) + 1)
+        counted = total and not self._done
+        working = f"{name} {_count(done)} of {_count(total)}" if counted else name
+        number = _count(self._row.get("epoch", 0) + (0 if self._done else 1))
         bars.add_row(f"epoch {number}", _bar(done, total), working)
 
         numbers = Table.grid(padding=(0, 2))
@@ -186,14 +193,24 @@ class TrainingDisplay:
         evaluated, row = self._evaluated, self._row
         judged = f"in the evaluation of epoch {_count(evaluated['epoch'])}" if evaluated else ""
         updates = f"{_count(row['updates'])} in all" if "updates" in row else ""
-        return [
-            ("success", _percent(evaluated.get("success")), judged),
-            ("object moved", _percent(row.get("object_moved")), "of the last epoch's episodes"),
+        numbers = [("success", _percent(evaluated.get("success")), judged)]
+        if self._has_object:
+            moved = _percent(row["object_moved"])
+            numbers.append(("object moved", moved, "of the last epoch's episodes"))
+        numbers += [
             ("updates/s", _count(row.get("updates_per_second")), updates),
             ("imagined", _count(row.get("imagined_transitions")), "transitions"),
             ("elapsed", self._elapsed(), ""),
-            ("left", _duration(self.seconds_left), "if the whole budget is spent"),
         ]
+        if not self._done:
+            left = _duration(self.seconds_left)
+            numbers.append(("left", left, "if the whole budget is spent"))
+        return numbers
+
+    @property
+    def _has_object(self) -> bool:
+        """Rows of a task without an object, such as reach, do not say whether it moved."""
+        return "object_moved" in self._row
 
     def _elapsed(self) -> str:
         return _duration(self._clock() - self._started)
@@ -212,6 +229,7 @@ def _count(number: float | None) -> str:
 
 
 def _duration(seconds: float) -> str:
-    if not math.isfinite(seconds):
+    try:
+        return str(datetime.timedelta(seconds=round(seconds)))
+    except (OverflowError, ValueError):  # beyond what a timedelta holds; not a number
         return UNKNOWN
-    return str(datetime.timedelta(seconds=round(seconds)))

@@ -21,7 +21,7 @@ from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.policy import Policy
 from iher_robot.policy_file import PolicyFile, check_task, load_policy
 from iher_robot.video import film
-from tasks import make_task
+from tasks import GoalTask, make_task
 
 FILMED_EPISODES = 10
 """Episodes of an evaluation that a film shows, the first ones."""
@@ -73,7 +73,8 @@ class EvaluationResult:
         )
         if self.video is not None:
             filmed = min(self.episodes, FILMED_EPISODES)
-            lines.append(f"video   {self.video}, the first {filmed} episodes")
+            shown = "the first episode" if filmed == 1 else f"the first {filmed} episodes"
+            lines.append(f"video   {self.video}, {shown}")
         return "\n".join(lines)
 
 
@@ -108,10 +109,15 @@ def evaluate(
         raise UserError(f"episodes is {episodes}, allowed: 1 or more")
     if seed < 0:
         raise UserError(f"seed is {seed}, allowed: 0 or more")
+    if official and driver != "mujoco":
+        raise UserError(
+            f"driver is {driver!r}, but the official environment is gymnasium-robotics' own "
+            "simulation; leave out --driver or --official"
+        )
     loaded = load_policy(policy)
     asked = make_task(loaded.task if task is None else task)
     check_task(loaded, asked.name, asked.layout.digest())
-    actor = Policy.from_snapshot(loaded.policy, device=torch.device("cpu"))
+    actor = _actor(loaded, policy, asked)
     render_mode = None if video is None else "rgb_array"
     with ExitStack() as stack:
         picture = None if video is None else stack.enter_context(film(video))
@@ -125,6 +131,11 @@ def evaluate(
             robot = stack.enter_context(make_env(loaded.task, driver, render_mode=render_mode))
             differing = _warnings(loaded, robot)
             env = robot
+        if env.action_space.shape != (actor.shapes.action_dim,):
+            raise UserError(
+                f"{policy} holds a policy of {actor.shapes.action_dim} action values, the robot "
+                f"takes {env.action_space.shape}; train it again"
+            )
         successes = 0
         for index in range(episodes):
             filmed = picture if index < FILMED_EPISODES else None
@@ -136,6 +147,29 @@ def evaluate(
                 picture=filmed,
             )
     return EvaluationResult(loaded.task, name, successes, episodes, differing, video)
+
+
+def _actor(loaded: PolicyFile, path: Path, task: GoalTask) -> Policy:
+    """Build the networks of a file whose seal says nothing of what its writer put in."""
+    try:
+        actor = Policy.from_snapshot(loaded.policy, device=torch.device("cpu"))
+        observation = torch.zeros(1, task.layout.obs_dim)
+        goal = torch.zeros(1, task.goal_dim)
+        action = actor.act(observation, goal, torch.tensor([REAL]))
+    except (
+        ArithmeticError,
+        AttributeError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        named = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        reason = " ".join(named.split())
+        raise UserError(f"{path} holds no policy that can act: {reason}; train it again") from error
+    if not torch.isfinite(action).all():
+        raise UserError(f"{path} holds no policy that can act: its actions are not finite")
+    return actor
 
 
 def _warnings(policy: PolicyFile, env: GoalRobotEnv) -> tuple[str, ...]:

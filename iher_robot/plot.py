@@ -146,16 +146,17 @@ def _dress(
     axes.set_ylabel("success rate", color=_INK)
     if log_x and any(curves.values()):
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda minutes, _: f"{minutes:g}"))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_minor_locator(NullLocator())
     else:
         ends = [points[-1][0] for points in curves.values() if points]
         axes.set_xlim(0, max([*ends, budget_minutes or 0.0]) * 1.02 or 1.0)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda minutes, _: f"{minutes:g}"))
     axes.grid(color="#E6E6E6", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color("#BBBBBB")
     axes.tick_params(colors=_INK, labelsize=9, length=0)
+    axes.tick_params(axis="x", pad=8)  # or the two labels of the origin touch
     if len(curves) > 1:
         axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -96,11 +97,15 @@ def train(
         UserError: Bad input; nothing has moved.
     """
     task = canonical_name(task)
-    layers = [f"driver={driver}", f"seed={seed}", f"device={device}"]
-    layers.append(f"until_success={'off' if until_success is None else until_success}")
+    options: dict[str, object] = {
+        "driver": driver,
+        "seed": seed,
+        "device": device,
+        "until_success": until_success,
+    }
     if budget_minutes is not None:
-        layers.append(f"budget_minutes={budget_minutes}")
-    config = load_config(task, preset, algo, [*layers, *overrides])
+        options["budget_minutes"] = budget_minutes
+    config = load_config(task, preset, algo, overrides, options)
     path = out or default_run_path(task, algo, preset, config.seed)
     # The robot is made first: a bad driver or budget should leave no folder behind.
     with open_workcell(config) as cell:
@@ -138,7 +143,12 @@ def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
             TrainingDisplay(config.budget_minutes, title=title, enabled=display)
         )
         shown.announce(cell.meaning_of_budget())
-        last = TrainingRun(cell, directory, ledger, shown, writer, provenance).run()
+        try:
+            last = TrainingRun(cell, directory, ledger, shown, writer, provenance).run()
+        except KeyboardInterrupt as error:
+            path = shlex.quote(str(directory.path))
+            error.add_note(f"continue with: iher-robot train --resume {path}")
+            raise
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,

@@ -29,13 +29,6 @@ def film(path: Path) -> Iterator[Callable[[gym.Env[Any, Any]], None]]:
         UserError: The extra ``video`` is not installed, nothing can be rendered here, or the
             file cannot be written.
     """
-    try:
-        import imageio.v2 as imageio
-        import imageio_ffmpeg  # noqa: F401 (imageio finds it by itself, too late to say so)
-    except ImportError as error:
-        raise UserError(
-            "filming needs the extra 'video': pip install 'iher-robot[video]', or leave out --video"
-        ) from error
     if path.suffix != ".mp4":
         raise UserError(f"video file is {path}, allowed: a name that ends in .mp4")
     if not path.parent.is_dir():
@@ -47,6 +40,14 @@ def film(path: Path) -> Iterator[Callable[[gym.Env[Any, Any]], None]]:
             "filming without a display needs a renderer: set MUJOCO_GL=egl, or MUJOCO_GL=osmesa "
             "(Debian packages libegl1, or libosmesa6)"
         )
+    try:
+        import imageio.v2 as imageio
+        import imageio_ffmpeg  # noqa: F401 (imageio finds it by itself, too late to say so)
+    except ImportError as error:
+        raise UserError(
+            "filming needs more packages: pip install imageio imageio-ffmpeg (the extra 'video'), "
+            "or leave out --video"
+        ) from error
     writer: Any  # imageio's annotations leave out what its writers can do
     with imageio.get_writer(path, fps=FRAMES_PER_SECOND, macro_block_size=16) as writer:
 

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import importlib
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 import iher_robot
 from iher_robot.cli import main
+from iher_robot.episode_store import EpisodeStore
+from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.goal_model import Shapes
+from iher_robot.learning.policy import Policy
+from iher_robot.ledger import Ledger
+from iher_robot.policy_file import PolicyFile, save_policy
+from iher_robot.video import film
 
+ROOT = Path(iher_robot.__file__).resolve().parent.parent
 Run = Callable[..., "Outcome"]
 
 # Bad input is refused before anything moves; a test that finds it is not, ends soon all the same.
@@ -109,7 +119,7 @@ def test_train_leaves_to_the_application_what_is_not_given(
 ) -> None:
     train = replace(monkeypatch, "train", "train")
 
-    run("train", "--task", "reach", "--until-success", "off")
+    run("train", "--task", "reach", "--until-success", "OFF")
 
     assert train.kwargs["budget_minutes"] is None
     assert train.kwargs["out"] is None
@@ -145,13 +155,95 @@ def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPat
 
 
 def test_an_interrupted_run_says_how_to_resume(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = replace(monkeypatch, "train", "train")
+    train.error = KeyboardInterrupt()
+    Path("there").mkdir()
+    for name in ("config.yaml", "ledger.sqlite"):
+        (Path("there") / name).touch()
+
+    for option in ("--out", "--resume"):
+        replace(monkeypatch, "train", "resume").error = KeyboardInterrupt()
+        words = ["--task", "push", "--out", "there"] if option == "--out" else [option, "there"]
+        outcome = run("train", *words)
+
+        assert outcome.code == 130
+        assert "iher-robot train --resume there\n" in outcome.err
+        assert outcome.err.count("\n") == 1
+
+    train.error.add_note("continue with: iher-robot train --resume runs/named")
+    assert "--resume runs/named\n" in run("train", "--task", "push").err
+
+
+def test_an_interrupt_that_left_no_run_promises_none(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     replace(monkeypatch, "train", "train").error = KeyboardInterrupt()
 
-    outcome = run("train", "--task", "push")
+    for words in ([], ["--out", "absent"]):
+        outcome = run("train", "--task", "push", *words)
+        assert outcome == Outcome(130, "", "iher-robot: interrupted\n")
 
-    assert outcome.code == 130
-    assert "--resume" in outcome.err
-    assert outcome.err.count("\n") == 1
+
+# At a known moment; a signal from outside would arrive anywhere.
+SIGTERM_IN_STEP_131 = """
+import os, signal
+from iher_robot.cli import main
+from iher_robot.env import GoalRobotEnv
+
+step, steps = GoalRobotEnv.step, 0
+
+def counted(self, action):
+    global steps
+    steps += 1
+    if steps == 131:
+        os.kill(os.getpid(), signal.SIGTERM)
+    return step(self, action)
+
+GoalRobotEnv.step = counted
+main()
+"""
+
+
+def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "iher_robot", "train", "--quiet", "--device", "cpu"]
+    settings = (
+        "learner.schedule.cycles=1 learner.schedule.batches=1 learner.schedule.dynamics_steps=1 "
+        "learner.schedule.policy_copy_cycles=1 evaluation.episodes=1"
+    ).split()
+    words = [word for setting in settings for word in ("--set", setting)]
+    words += "--task reach --budget-minutes 0.2 --set learner.schedule.real_rollouts=6".split()
+    words += ["--out", str(out)]
+    stopped = subprocess.run(
+        [sys.executable, "-c", SIGTERM_IN_STEP_131, *command[3:], *words],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+
+    assert stopped.returncode == 143
+    assert stopped.stderr.startswith("iher-robot: interrupted; ")
+    assert f"--resume {out}" in stopped.stderr
+    assert stopped.stderr.count("\n") == 1
+    # The tick in flight is charged, though nothing of it could be stored.
+    assert ticks(out) == (131, 130)
+
+    resumed = [*command[:5], "--resume", str(out)]
+    subprocess.run(resumed, cwd=ROOT, check=True, capture_output=True)
+    assert ticks(out)[0] == 300
+
+
+def ticks(out: Path) -> tuple[int, int]:
+    with Ledger(out / "ledger.sqlite") as ledger:
+        charged = ledger.spent_ticks("motion")
+    return charged, sum(len(stored.episode) for stored in EpisodeStore(out / "episodes"))
+
+
+def test_sigterm_is_handled_as_before_once_the_command_line_is_done(run: Run) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    run("--version")
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_bug_is_not_hidden_as_bad_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,16 +264,26 @@ def test_a_bug_is_not_hidden_as_bad_input(run: Run, monkeypatch: pytest.MonkeyPa
         ("train --task push --set learner.ddpg.gamma=1.5", ["gamma", "1.5", "1"]),
         ("train --task push --set learner.ddpg.gamma", ["learner.ddpg.gamma", "="]),
         ("train --task push --set learner.ddpg.batch_size=many", ["batch_size", "many"]),
-        ("train --task push --budget-minutes 0", ["budget", "0"]),
-        ("train --task push --budget-minutes nan", ["budget", "nan"]),
-        ("train --task push --budget-minutes inf", ["budget", "inf"]),
-        ("train --task push --budget-minutes=-1", ["budget", "-1"]),
+        ("train --task push --budget-minutes 0", ["--budget-minutes is 0.0, allowed", "above 0"]),
+        ("train --task push --budget-minutes nan", ["--budget-minutes is nan", "above 0"]),
+        ("train --task push --budget-minutes inf", ["--budget-minutes is inf", "above 0"]),
+        ("train --task push --budget-minutes=-1", ["--budget-minutes is -1.0", "above 0"]),
+        ("train --task push --budget-minutes 1e300", ["--budget-minutes is 1e+300", "1000000"]),
         ("train --task push --budget-minutes soon", ["--budget-minutes"]),
-        ("train --task push --until-success 1.5", ["until_success", "1.5"]),
-        ("train --task push --until-success nan", ["until_success", "nan"]),
-        ("train --task push --until-success soon", ["--until-success", "'soon'", "off"]),
-        ("train --task push --seed=-1", ["seed", "-1"]),
-        ("train --task push --device warp", ["device", "warp", "cpu"]),
+        (
+            "train --task push --until-success 1.5",
+            ["--until-success is 1.5, allowed: off", "up to 1"],
+        ),
+        ("train --task push --until-success nan", ["--until-success is nan, allowed: off"]),
+        (
+            "train --task push --until-success soon",
+            ["--until-success is 'soon'", "off", "above 0 and up to 1"],
+        ),
+        ("train --task push --seed=-1", ["--seed is -1, allowed", "0 or more"]),
+        ("train --task push --device warp", ["--device is 'warp'", "auto, cpu, cuda"]),
+        ("train --task push --preset /tmp", ["'/tmp'", "YAML file", "default, paper"]),
+        ("train --task push --out=", ["--out is ''"]),
+        ("train --resume=", ["--resume is ''"]),
         ("train", ["--task", "--resume"]),
         ("train --resume there --task push --seed 3", ["--resume", "--task", "--seed"]),
         ("train --resume there", ["there"]),
@@ -248,6 +350,63 @@ def test_episodes_below_one_are_refused(run: Run, tmp_path: Path) -> None:
     assert_one_sentence(run("evaluate", "any.pt", "--episodes", "0"), "episodes", "0")
 
 
+def test_the_official_environment_has_no_driver(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "any.pt").touch()
+
+    outcome = run(*"evaluate any.pt --official --driver real".split())
+
+    assert_one_sentence(outcome, "'real'", "--driver", "--official")
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda policy: policy.clear(), "shapes"),
+        (lambda policy: policy.pop("actor"), "actor"),
+        (lambda policy: policy["actor"].popitem(), "Missing key"),
+        (lambda policy: policy.update(actor={}), "Missing key"),
+        (lambda policy: policy.update(actor=3), "int"),
+        (lambda policy: policy.update(hidden=[7]), "size mismatch"),
+        (lambda policy: policy.update(hidden="wide"), ""),
+        (lambda policy: policy.update(normalizer_clip="x"), ""),
+        (lambda policy: policy["shapes"].update(obs_dim=3), "size mismatch"),
+        (lambda policy: policy["shapes"].update(depth=3), "depth"),
+        (lambda policy: policy["goal_normalizer"].update(mean=torch.zeros(1)), "goal_normalizer"),
+        (lambda policy: policy["obs_normalizer"].update(mean=[0.0]), "list"),
+        (lambda policy: policy["obs_normalizer"].clear(), "count"),
+    ],
+)
+def test_a_sealed_policy_that_cannot_act_is_named(
+    run: Run, tmp_path: Path, change: Callable[[dict[str, Any]], object], part: str
+) -> None:
+    with iher_robot.make_env("reach") as env:
+        shapes = Shapes(env.task.layout.obs_dim, env.task.goal_dim, 4, 50)
+        policy = Policy.from_config(
+            shapes, LearnerConfig(), generator=torch.Generator(), device=torch.device("cpu")
+        )
+        content = policy.snapshot()
+        change(content)
+        saved = PolicyFile(policy=content, trained={}, **env.policy_interface())
+    save_policy(tmp_path / "bad.pt", saved)
+
+    outcome = run("evaluate", "bad.pt", "--episodes", "1")
+    assert_one_sentence(outcome, "bad.pt holds no policy that can act", part)
+
+
+def test_a_video_is_refused_for_its_name_before_packages_are_missed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio.v2", None)
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    for name, message in (
+        ("film.avi", r"\.mp4"),
+        ("absent/film.mp4", "no folder"),
+        ("film.mp4", "pip install imageio imageio-ffmpeg"),
+    ):
+        with pytest.raises(iher_robot.UserError, match=message), film(tmp_path / name):
+            pass
+
+
 def test_no_words_print_the_help(run: Run) -> None:
     outcome = run()
 
@@ -257,7 +416,6 @@ def test_no_words_print_the_help(run: Run) -> None:
 
 def test_python_dash_m_is_the_command_and_prints_its_version() -> None:
     command = [sys.executable, "-m", "iher_robot", "--version"]
-    root = Path(iher_robot.__file__).resolve().parent.parent
-    result = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
 
     assert result.stdout == f"iher-robot {iher_robot.__version__}\n"

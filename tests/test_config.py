@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import example, given, settings
@@ -189,13 +191,14 @@ def test_settings_cannot_be_changed(configs: Files) -> None:
 @given(
     gamma=st.floats(0, 1, exclude_max=True),
     seed=st.integers(0, 2**63 - 1),
-    budget=st.floats(min_value=0, exclude_min=True, allow_infinity=False),
+    budget=st.floats(0, 1e6, exclude_min=True),
     hidden=st.lists(st.integers(1, 4096), max_size=4),
     until=st.none() | st.floats(0, 1, exclude_min=True),
-    preset=st.text(min_size=1),
+    driver=st.text(),
+    preset=st.text(min_size=1).map(lambda stem: f"{stem}x.yaml"),
 )
-@example(gamma=1e-05, seed=0, budget=1e22, hidden=[], until=None, preset="\x85")
-@example(gamma=0.5, seed=0, budget=5e-324, hidden=[1], until=1.0, preset="1e3")
+@example(gamma=1e-05, seed=0, budget=1e6, hidden=[], until=None, driver="\x85", preset="\x85.yaml")
+@example(gamma=0.5, seed=0, budget=5e-324, hidden=[1], until=1.0, driver="1e3", preset="paper")
 def test_dumped_settings_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory,
     *,
@@ -204,6 +207,7 @@ def test_dumped_settings_read_back_exactly(
     budget: float,
     hidden: list[int],
     until: float | None,
+    driver: str,
     preset: str,
 ) -> None:
     default = RunConfig()
@@ -214,6 +218,7 @@ def test_dumped_settings_read_back_exactly(
             "seed": seed,
             "budget_minutes": budget,
             "until_success": until,
+            "driver": driver,
             "preset": preset,
         }
     )
@@ -234,6 +239,55 @@ def test_a_damaged_config_file_is_named(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(UserError, match=r"config\.yaml"):
         read_config(path)
+
+
+def test_a_config_file_lacks_no_key(tmp_path: Path) -> None:
+    path = tmp_path / "config.yaml"
+    lines = dump_config(RunConfig()).splitlines(keepends=True)
+    for kept in range(len(lines)):
+        path.write_text("".join(lines[:kept]))
+        with pytest.raises(UserError, match=r"config\.yaml"):
+            read_config(path)
+    path.write_text("")
+    with pytest.raises(UserError, match=r"config\.yaml is damaged: it has no task;"):
+        read_config(path)
+    path.write_text("".join(line for line in lines if "gamma:" not in line))
+    with pytest.raises(UserError, match=r"it has no learner\.ddpg\.gamma;"):
+        read_config(path)
+
+
+@pytest.mark.parametrize("change", [{"algo": "hr"}, {"preset": "papr"}])
+def test_a_config_file_names_what_exists(tmp_path: Path, change: dict[str, str]) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(dump_config(RunConfig().model_copy(update=change)))
+    with pytest.raises(UserError, match=r"config\.yaml: unknown (algorithm|preset) .*did you mean"):
+        read_config(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("budget_minutes", 0.0, "--budget-minutes is 0.0, allowed: a finite number, above 0"),
+        ("budget_minutes", np.float32("inf"), "--budget-minutes is inf, allowed: "),
+        ("seed", -1, "--seed is -1, allowed: an integer, 0 or more"),
+        ("device", "warp", "--device is 'warp', allowed: one of auto, cpu, cuda"),
+        ("until_success", 0.0, "--until-success is 0.0, allowed: off or a finite number, above 0"),
+        ("driver", 3, "--driver is 3, allowed: text"),
+    ],
+)
+def test_a_bad_value_of_an_option_names_the_option(
+    configs: Files, key: str, value: object, message: str
+) -> None:
+    with pytest.raises(UserError, match=f"^{re.escape(message)}"):
+        load_config("push", "default", "iher", [], {key: value})
+
+
+def test_options_win_over_files_and_overrides_over_options(configs: Files) -> None:
+    configs("presets/default/push.yaml", "seed: 3\ndriver: other\nuntil_success: 0.5")
+    options = {"seed": np.int64(4), "driver": "[1e3", "until_success": None}
+    config = load_config("push", "default", "iher", [], options)
+    assert (config.seed, config.driver, config.until_success) == (4, "[1e3", None)
+    assert load_config("push", "default", "iher", ["seed=5"], options).seed == 5
 
 
 def shipped() -> list[tuple[str, str]]:

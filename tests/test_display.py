@@ -133,6 +133,41 @@ def test_on_a_terminal_the_last_state_stays(clock: Clock) -> None:
     assert "1,240,000" in written(console)
 
 
+def test_the_last_picture_says_how_the_run_ended(clock: Clock) -> None:
+    with TrainingDisplay(40.0, console=terminal(), clock=clock) as done:
+        done.epoch(ROW)
+    assert "done" in line_with(shown(done), "│  epoch 4")
+    assert "starting" not in shown(done)
+
+    display = TrainingDisplay(40.0, console=terminal(), clock=clock)
+
+    def stop() -> None:
+        with display:
+            display.epoch(ROW)
+            display.phase("collect", 3, 32)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stop()
+    assert "stopped in collect 3 of 32" in line_with(shown(display), "│  epoch 5")
+
+
+def test_a_task_without_object_has_no_line_about_it(clock: Clock) -> None:
+    display = TrainingDisplay(40.0, console=terminal(), clock=clock)
+    display.epoch({name: value for name, value in ROW.items() if name != "object_moved"})
+    assert "object" not in shown(display)
+    assert "object" not in display.line()
+
+
+@pytest.mark.parametrize("minutes", [1.0, 1e-300])
+def test_a_time_beyond_any_calendar_is_unknown(clock: Clock, minutes: float) -> None:
+    display = TrainingDisplay(1e300, console=terminal(), clock=clock)
+    clock.seconds = 60.0
+    display.epoch(ROW | {"robot_minutes": minutes})
+    assert display.line().endswith("- left")
+    assert line_with(shown(display), "left  ").split()[2] == "-"
+
+
 @pytest.mark.parametrize("make", [terminal, pipe])
 def test_when_off_it_shows_nothing(clock: Clock, make: type[Console]) -> None:
     console = make()

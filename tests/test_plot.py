@@ -10,9 +10,11 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
+import iher_robot.plot
 from iher_robot.errors import UserError
 from iher_robot.plot import plot_success, success_points
 
@@ -69,6 +71,25 @@ def test_a_run_without_evaluation_has_no_curve(tmp_path: Path, log_x: bool) -> N
 def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"cannot write .*absent/plot\.png"):
         plot_success({}, tmp_path / "absent" / "plot.png", "Push")
+
+
+@pytest.mark.parametrize("minutes", [0.03, 0.1, 2.0, 60.0])
+def test_the_labels_of_the_origin_do_not_touch(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, minutes: float
+) -> None:
+    canvases: list[FigureCanvasAgg] = []
+    monkeypatch.setattr(
+        iher_robot.plot, "write_atomically", lambda path, write: canvases.append(write.__self__)
+    )
+    rows = [{"robot_minutes": minutes, "success": 0.5}]
+    plot_success({"run": rows}, tmp_path / "plot.png", "Reach", budget_minutes=minutes)
+    (canvas,) = canvases
+    canvas.draw()
+    (axes,) = canvas.figure.axes
+    x_label, y_label = (axis.get_ticklabels()[0] for axis in (axes.xaxis, axes.yaxis))
+    assert (x_label.get_text(), y_label.get_text()) == ("0", "0%")
+    first, second = (label.get_window_extent() for label in (x_label, y_label))
+    assert not first.padded(2).overlaps(second)
 
 
 def test_plotting_leaves_the_users_figures_alone() -> None:

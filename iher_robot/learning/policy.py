@@ -128,7 +128,15 @@ class Policy:
 
     @classmethod
     def from_snapshot(cls, snapshot: dict[str, Any], *, device: torch.device) -> Policy:
-        """Build the policy that a snapshot holds."""
+        """Build the policy that a snapshot holds.
+
+        Args:
+            snapshot: From ``snapshot``.
+            device: Where the policy computes.
+
+        Raises:
+            AttributeError, KeyError, RuntimeError, TypeError, ValueError: It holds something else.
+        """
         policy = cls(
             Shapes(**snapshot["shapes"]),
             hidden=snapshot["hidden"],
@@ -139,6 +147,13 @@ class Policy:
             device=device,
         )
         policy.load_snapshot(snapshot)
+        for name in ("obs_normalizer", "goal_normalizer"):
+            # Unlike a module, a normaliser takes over any shape; a wrong one might broadcast.
+            dim = getattr(policy.shapes, name.replace("normalizer", "dim"))
+            for key in ("mean", "std"):
+                found = tuple(snapshot[name][key].shape)
+                if found != (dim,):
+                    raise ValueError(f"{name}.{key} has shape {found}, expected {(dim,)}")
         return policy
 
 
