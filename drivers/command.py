@@ -46,11 +46,16 @@ class Command(ABC):
 
     @abstractmethod
     def check(self, spec: RobotSpec) -> None:
-        """Refuse shapes and values that the robot can never carry out.
+        """Refuse shapes and values that the robot can never carry out; extended by each kind.
 
         Raises:
-            InvalidCommand: If a shape is wrong or a value is not finite.
+            InvalidCommand: If a shape is wrong, a value is not finite, or `answers` is no
+                whole number.
         """
+        if type(self.answers) is not int:  # bool is a kind of int
+            raise InvalidCommand(
+                f"answers is {self.answers!r}, allowed: the seq of a state, an int"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +77,7 @@ class EndEffectorCommand(Command):
 
     def check(self, spec: RobotSpec) -> None:
         """Refuse wrong shapes and values that are not finite."""
+        super().check(spec)
         _check("delta_pos", self.delta_pos, (3,))
         _check("finger_delta", self.finger_delta, (len(spec.finger_names),))
 
@@ -99,6 +105,7 @@ class JointCommand(Command):
 
     def check(self, spec: RobotSpec) -> None:
         """Refuse wrong shapes, values that are not finite and durations that are not positive."""
+        super().check(spec)
         n_joints = (len(spec.joint_names),)
         _check("q_target", self.q_target, n_joints)
         _check("dq", self.dq, n_joints)

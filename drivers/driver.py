@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self
 
@@ -17,7 +17,13 @@ from drivers.command import (
     ResetRequest,
     ResetResult,
 )
-from drivers.errors import HandsNotClear, InvalidCommand, LifecycleError, StaleState
+from drivers.errors import (
+    HandsNotClear,
+    InvalidCommand,
+    InvalidRequest,
+    LifecycleError,
+    StaleState,
+)
 from drivers.gate import CommandGate, Fault
 from drivers.hooks import RobotHooks
 from drivers.spec import RobotSpec
@@ -40,7 +46,8 @@ class RobotDriver(RobotHooks):
     means powered with zero motion; *disarmed* means that the command gate is closed.
     Neither ever de-energises a joint. `disarm`, `stop` and `close` are idempotent and may
     come from any thread. A context manager opens, and always ends held and disarmed, even
-    when its body or a hook raises. Arm per episode, disarm for learning phases.
+    when its body or a hook raises; an `open` that fails leaves nothing connected. Arm per
+    episode, disarm for learning phases.
 
     **Stop.** `stop` closes the gate at once, without waiting for a tick in progress, holds,
     and latches: it survives `close` and every attempt to arm. Only `clear_fault`, by the
@@ -128,9 +135,13 @@ class RobotDriver(RobotHooks):
         with self._hooks:
             if self._open_now:
                 raise LifecycleError(f"{self.spec.name} is open already; close it first")
-            self._open()
-            self._open_now = True
-            self._gate.forget_states()
+            try:
+                self._open()
+                self._gate.forget_states()
+                self._open_now = True
+            except BaseException as error:
+                self._abandon(error)
+                raise
 
     def arm(self) -> None:
         """Open the command gate. The robot stays held until the first command.
@@ -172,10 +183,12 @@ class RobotDriver(RobotHooks):
         """
         self._gate.latch(fault, reason)
         log.warning("%s stopped: %s", self.spec.name, reason)
-        self._interrupt()
-        with self._hooks:
-            if self._open_now:
-                self._hold()
+        try:
+            self._interrupt()
+        finally:  # only an early return of a hook is lost with it
+            with self._hooks:
+                if self._open_now:
+                    self._hold()
 
     def clear_fault(self, name: str) -> None:
         """Unlatch a fault: an operator's act. It never arms.
@@ -211,10 +224,15 @@ class RobotDriver(RobotHooks):
                 the age limit of their own sensor.
 
         Raises:
+            InvalidRequest: If the age is negative or not a number.
             LifecycleError: If the driver is not open.
             StaleState: If the measurement, or that of an object, is older.
         """
         limit_s = self.spec.limits.watchdog_s if max_age_s is None else max_age_s
+        if not limit_s >= 0:  # nan, too: no age would ever be above it
+            raise InvalidRequest(
+                f"max_age_s of read on {self.spec.name} is {limit_s}, allowed: 0 s and above"
+            )
         with self._hooks:
             self._require_open("read")
             state = self._read()
@@ -272,7 +290,8 @@ class RobotDriver(RobotHooks):
             LifecycleError: If the driver is not open, or is armed.
             FaultLatched: If a fault is latched.
             HandsNotClear: If a human was asked for and hands are not confirmed clear.
-            InvalidRequest: If the request names what the robot does not have.
+            InvalidRequest: If the request names what the robot does not have, or places
+                things where they can never be.
         """
         with self._hooks:
             self._require_motion("reset")
@@ -299,6 +318,20 @@ class RobotDriver(RobotHooks):
             self._speed_scale = self.spec.limits.reduced_speed_scale
 
     # What the implementations share
+
+    def _abandon(self, error: BaseException) -> None:
+        """Hold and disconnect what an `_open` that failed may have connected."""
+        self._open_now = False
+        try:
+            self._attempt(self._hold, error)
+        finally:
+            self._attempt(self._close, error)
+
+    def _attempt(self, hook: Callable[[], None], error: BaseException) -> None:
+        try:
+            hook()
+        except Exception as failure:  # noqa: BLE001 - the error that came first is the one raised
+            error.add_note(f"{hook.__name__} on {self.spec.name} failed as well: {failure!r}")
 
     def _mode(self, moving: bool) -> Mode:
         """Return the mode of a robot that is, or is not, following a command."""

@@ -23,7 +23,7 @@ class InvalidCommand(DriverError, ValueError):
 
 
 class InvalidRequest(DriverError, ValueError):
-    """A reset request that names what the robot does not have."""
+    """A request that this robot can never fulfil, such as a place for an object it has not."""
 
 
 class LifecycleError(DriverError, RuntimeError):

@@ -13,11 +13,14 @@ class RobotHooks(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Connect; leave the robot held."""
+        """Connect; leave the robot held. If it raises, `_hold` and `_close` are called."""
 
     @abstractmethod
     def _hold(self) -> None:
-        """Drop any command not yet applied and come to zero motion, powered. Idempotent."""
+        """Drop any command not yet applied and come to zero motion, powered. Idempotent.
+
+        Also called after an `_open` that failed half-way, and must bear it.
+        """
 
     @abstractmethod
     def _read(self) -> RobotState:
@@ -37,7 +40,7 @@ class RobotHooks(ABC):
 
     @abstractmethod
     def _close(self) -> None:
-        """Disconnect; leave the robot held."""
+        """Disconnect; leave the robot held. Also called after an `_open` that failed half-way."""
 
     def _interrupt(self) -> None:  # noqa: B027 - optional: many hooks never wait
         """Make a hook that waits in another thread return early. Called without a lock."""

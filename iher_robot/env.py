@@ -130,21 +130,12 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             ResetFailed: If the robot cannot get there, or needs a person and has none.
             FaultLatched: If the robot is stopped.
         """
-        super().reset(seed=seed, options=options)
-        if not self.driver.is_open:
-            self.driver.open()
-        self.hold()
         try:
-            self._bring_to_start()
-            self._invalid_ticks = 0
-            self.driver.arm()
-            self._state = self.driver.read()
+            super().reset(seed=seed, options=options)
+            return self._begin_episode(), {}
         except BaseException:
             self.hold()
             raise
-        observation = self.task.observation(self._state)
-        self._goal = self.task.goal_model.sample_goal(self.np_random, observation[None])[0]
-        return self._observe(observation), {}
 
     def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, Info]:
         """Run one control tick.
@@ -157,35 +148,22 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             time limit) and info.
 
         Raises:
+            ValueError: If the action has the wrong shape.
             InvalidCommand: If the action is not finite.
             EpisodeAborted: If the robot was stopped or disarmed, or too many ticks were
                 invalid. The tick that showed it counts as begun.
         """
-        before = self._state
-        if before is None:
-            raise gym.error.ResetNeeded("step before reset; call reset first")
-        if np.shape(action) != self.action_space.shape:
-            raise ValueError(
-                f"action has shape {np.shape(action)}, allowed: {self.action_space.shape}"
-            )
-        assert isinstance(self.action_space, spaces.Box)
-        requested = np.clip(action, self.action_space.low, self.action_space.high)
         try:
-            command = self.controller.command(requested, before, self.robot_spec)
-            acceptance = self.driver.command(command)
-            self.driver.advance()
-            after = self._read_or_keep(before)
-        except BaseException:
+            after, tick = self._run_tick(action)
+            self._abort_if_lost(tick)
+            observation = self._observe(self.task.observation(after))
+            achieved = observation["achieved_goal"]
+            reward = float(self.task.goal_model.compute_reward(achieved, self._goal))
+            success = float(self.task.is_success(achieved, self._goal))
+            return observation, reward, False, False, {"is_success": success} | tick.info()
+        except BaseException:  # from the task or the caller, too: nobody would send the next tick
             self.hold()
             raise
-        self._state = after
-        tick = judge_tick(requested, before, after, acceptance, self.controller, self.robot_spec)
-        self._abort_if_lost(tick)
-        observation = self._observe(self.task.observation(after))
-        achieved = observation["achieved_goal"]
-        reward = float(self.task.goal_model.compute_reward(achieved, self._goal))
-        success = float(self.task.is_success(achieved, self._goal))
-        return observation, reward, False, False, {"is_success": success} | tick.info()
 
     def compute_reward(
         self,
@@ -228,13 +206,13 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
 
     def hold(self) -> None:
         """Hold and disarm, until the next `reset`."""
-        self.driver.disarm()
         self._state = None
+        self.driver.disarm()
 
     def close(self) -> None:
         """Hold, disarm and disconnect."""
-        self.driver.close()
         self._state = None
+        self.driver.close()
 
     def _require_command_kind(self) -> None:
         if self.controller.kind not in self.robot_spec.command_kinds:
@@ -242,6 +220,36 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
                 f"the controller makes {self.controller.kind!r} commands, "
                 f"{self.robot_spec.name} takes: {', '.join(self.robot_spec.command_kinds)}"
             )
+
+    def _begin_episode(self) -> Observation:
+        if not self.driver.is_open:
+            self.driver.open()
+        self.hold()
+        self._bring_to_start()
+        self._invalid_ticks = 0
+        self.driver.arm()
+        self._state = self.driver.read()
+        observation = self.task.observation(self._state)
+        self._goal = self.task.goal_model.sample_goal(self.np_random, observation[None])[0]
+        return self._observe(observation)
+
+    def _run_tick(self, action: NDArray[np.floating]) -> tuple[RobotState, Tick]:
+        before = self._state
+        if before is None:
+            raise gym.error.ResetNeeded("step before reset; call reset first")
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(
+                f"action has shape {np.shape(action)}, allowed: {self.action_space.shape}"
+            )
+        assert isinstance(self.action_space, spaces.Box)
+        requested = np.clip(action, self.action_space.low, self.action_space.high)
+        command = self.controller.command(requested, before, self.robot_spec)
+        acceptance = self.driver.command(command)
+        self.driver.advance()
+        after = self._read_or_keep(before)
+        self._state = after
+        tick = judge_tick(requested, before, after, acceptance, self.controller, self.robot_spec)
+        return after, tick
 
     def _bring_to_start(self) -> None:
         request = self.task.reset_request(self.np_random)
@@ -279,7 +287,6 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             reason = f"{self._invalid_ticks} invalid ticks, allowed: {self._max_invalid_ticks}"
         else:
             return
-        self.hold()
         raise EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {reason}")
 
 

@@ -254,3 +254,87 @@ def test_blocked_grippers_stay_as_they_are(env: GoalRobotEnv, robot: FakeRobot) 
     free.reset(seed=0)
     free.step(np.array([0.0, 0.0, 0.0, -1.0]))
     np.testing.assert_array_equal(vars(robot.applied.command)["finger_delta"], -1.0)
+
+
+def assert_held(env: GoalRobotEnv, robot: FakeRobot) -> None:
+    assert not robot.is_armed
+    assert robot.calls[-1] == "hold"
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(FORWARD)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [np.zeros(3), np.array(["a", "b", "c", "d"]), np.array([None] * 4), None],
+    ids=["shape", "text", "objects", "none"],
+)
+def test_an_action_that_cannot_be_used_leaves_the_robot_held(
+    env: GoalRobotEnv, robot: FakeRobot, action: np.ndarray
+) -> None:
+    env.reset(seed=0)
+    with pytest.raises((TypeError, ValueError)):
+        env.step(action)
+    assert "advance" not in robot.calls
+    assert_held(env, robot)
+
+
+def fail_in(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, error: type[BaseException]
+) -> None:
+    def failing(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(owner, name, failing)
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+@pytest.mark.parametrize("where", ["observation", "is_success", "compute_reward", "achieved_goal"])
+def test_an_error_of_the_task_in_a_step_leaves_the_robot_held(
+    env: GoalRobotEnv,
+    robot: FakeRobot,
+    monkeypatch: pytest.MonkeyPatch,
+    where: str,
+    error: type[BaseException],
+) -> None:
+    env.reset(seed=0)
+    owner = env.task if where in {"observation", "is_success"} else env.task.goal_model
+    fail_in(monkeypatch, owner, where, error)
+    with pytest.raises(error):
+        env.step(FORWARD)
+    assert_held(env, robot)
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+@pytest.mark.parametrize("where", ["observation", "sample_goal", "achieved_goal"])
+def test_an_error_of_the_task_in_a_reset_leaves_the_robot_held(
+    env: GoalRobotEnv,
+    robot: FakeRobot,
+    monkeypatch: pytest.MonkeyPatch,
+    where: str,
+    error: type[BaseException],
+) -> None:
+    owner = env.task if where == "observation" else env.task.goal_model
+    fail_in(monkeypatch, owner, where, error)
+    with pytest.raises(error):
+        env.reset(seed=0)
+    assert_held(env, robot)
+
+
+def test_a_seed_that_is_refused_leaves_the_robot_held(env: GoalRobotEnv, robot: FakeRobot) -> None:
+    env.reset(seed=0)
+    with pytest.raises(gym.error.Error, match="-1"):
+        env.reset(seed=-1)
+    assert_held(env, robot)
+
+
+def test_a_robot_that_cannot_be_held_needs_a_reset_all_the_same(
+    env: GoalRobotEnv, robot: FakeRobot
+) -> None:
+    env.reset(seed=0)
+    robot.failing = {"advance", "hold"}
+    with pytest.raises(OSError, match="hold failed"):
+        env.step(FORWARD)
+    assert not robot.is_armed
+    robot.failing = set()
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(FORWARD)

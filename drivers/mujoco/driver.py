@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.clipping import clip_displacement
 from drivers.clock import SimulatedClock
 from drivers.command import (
     Command,
@@ -18,10 +19,11 @@ from drivers.command import (
     ResetResult,
 )
 from drivers.driver import RobotDriver
-from drivers.errors import InvalidRequest, UnknownDriver
+from drivers.errors import UnknownDriver
 from drivers.mujoco.fetch_spec import FINGERS, fetch_spec
 from drivers.mujoco.measure import Sensors
 from drivers.mujoco.picture import Camera
+from drivers.mujoco.requests import object_places, require_same_model
 from drivers.mujoco.scene import POINTING_DOWN, SUBSTEPS, find_scene, load_model, settle
 from drivers.names import unknown
 from drivers.state import AppliedCommand, RobotState
@@ -80,8 +82,14 @@ class MujocoDriver(RobotDriver):
 
         Args:
             data: Copied, not kept.
+
+        Raises:
+            LifecycleError: If the driver is not open.
+            InvalidRequest: If the data belong to another model.
         """
         with self._hooks:
+            self._require_open("restore")
+            require_same_model(self._model, data, self.spec.name)
             self._hold()
             self._gate.forget_states()
             self._data = copy.copy(data)
@@ -143,9 +151,10 @@ class MujocoDriver(RobotDriver):
         self._seq += 1
         self._measured = None
         if command is not None:
+            command, clipped = clip_displacement(command, self.spec.action)
             self._aim(command.delta_pos, command.finger_delta)
             self._holding = False
-            self._applied = AppliedCommand(self._seq, command)
+            self._applied = AppliedCommand(self._seq, command, clipped)
         elif not self._holding:  # once: aiming anew at every tick would drift with the sag
             self._aim(np.zeros(3), np.zeros(len(FINGERS)))
             self._holding = True
@@ -166,15 +175,7 @@ class MujocoDriver(RobotDriver):
             data.ctrl[:] = data.qpos[self._actuated_qpos] + finger_delta[self._actuated_finger]
 
     def _reset(self, request: ResetRequest) -> ResetResult:
-        unknown = request.objects.keys() - self.spec.objects.keys()
-        if unknown:
-            raise InvalidRequest(
-                f"reset names {sorted(unknown)}, objects of {self.spec.name}: "
-                f"{sorted(self.spec.objects)}"
-            )
-        self._restore_start(
-            {name: np.array(place, dtype=np.float64) for name, place in request.objects.items()}
-        )
+        self._restore_start(object_places(request, self.spec))
         return ResetResult(ResetOutcome.DONE)
 
     def _restore_start(self, places: dict[str, NDArray[np.float64]]) -> None:

@@ -169,8 +169,22 @@ def test_states_from_before_a_reset_and_from_the_future_cannot_be_answered(
         (EndEffectorCommand(0, np.array([0, np.nan, 0]), np.zeros(2)), "delta_pos is .*finite"),
         (EndEffectorCommand(0, np.zeros(3), np.array([np.inf, 0])), "finger_delta is .*finite"),
         (JointCommand(0, np.zeros(1), np.zeros(1), 0.04, np.zeros(2)), "allowed: ee_delta"),
+        (EndEffectorCommand(1.0, np.zeros(3), np.zeros(2)), r"answers is 1\.0, .* int"),  # type: ignore[arg-type]
+        (EndEffectorCommand(True, np.zeros(3), np.zeros(2)), "answers is True"),
+        (EndEffectorCommand(None, np.zeros(3), np.zeros(2)), "answers is None"),  # type: ignore[arg-type]
+        (EndEffectorCommand([1], np.zeros(3), np.zeros(2)), r"answers is \[1\]"),  # type: ignore[arg-type]
     ],
-    ids=["position shape", "finger shape", "nan", "infinity", "kind"],
+    ids=[
+        "position shape",
+        "finger shape",
+        "nan",
+        "infinity",
+        "kind",
+        "fraction",
+        "truth",
+        "nothing",
+        "unhashable",
+    ],
 )
 def test_a_command_that_cannot_be_carried_out_is_an_error(
     driver: RobotDriver, command: EndEffectorCommand | JointCommand, message: str

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from drivers import (
     EndEffectorCommand,
     HandsNotClear,
+    InvalidRequest,
     LifecycleError,
     ResetOutcome,
     ResetRequest,
@@ -152,3 +155,55 @@ def test_hands_stay_unconfirmed_over_a_restart(robot: FakeRobot) -> None:
     robot.open()
     with pytest.raises(HandsNotClear):
         robot.arm()
+
+
+@pytest.mark.parametrize("connect", [FakeRobot.open, FakeRobot.__enter__], ids=["open", "with"])
+@pytest.mark.parametrize("cleanup", [(), ("hold",), ("close",), ("hold", "close")], ids=str)
+def test_an_open_that_fails_leaves_nothing_connected(
+    robot: FakeRobot, connect: Callable[[FakeRobot], object], cleanup: tuple[str, ...]
+) -> None:
+    robot.failing = {"open", *cleanup}
+    with pytest.raises(OSError, match="open failed") as caught:
+        connect(robot)
+    assert robot.calls == ["open", "hold", "close"]
+    assert not robot.is_open
+    notes = " ".join(getattr(caught.value, "__notes__", []))
+    assert all(f"{hook} failed" in notes for hook in cleanup)
+    robot.failing = set()
+    arm(robot)
+    assert robot.is_armed
+
+
+def test_an_interrupted_open_is_undone_too(
+    robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(robot, "_open", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        robot.open()
+    assert robot.calls == ["hold", "close"]
+
+
+def test_a_stop_holds_when_the_interruption_fails(
+    robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing() -> None:
+        raise OSError("no way to interrupt")
+
+    arm(robot)
+    monkeypatch.setattr(robot, "_interrupt", failing)
+    with pytest.raises(OSError, match="no way to interrupt"):
+        robot.stop("pressed")
+    assert robot.calls[-1] == "hold"
+    assert robot.fault is not None
+    assert not robot.is_armed
+
+
+@pytest.mark.parametrize("age_s", [math.nan, -0.001, -math.inf])
+def test_an_age_limit_that_limits_nothing_is_an_error(robot: FakeRobot, age_s: float) -> None:
+    robot.open()
+    robot.clock.advance_ns(100 * PERIOD_NS)
+    with pytest.raises(InvalidRequest, match=r"max_age_s of read on fake is .*, allowed: 0 s"):
+        robot.read(max_age_s=age_s)

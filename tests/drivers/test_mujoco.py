@@ -9,6 +9,7 @@ import pytest
 from drivers import (
     EndEffectorCommand,
     InvalidRequest,
+    LifecycleError,
     Mode,
     Refusal,
     ResetRequest,
@@ -154,3 +155,57 @@ def test_a_pause_never_makes_a_simulated_state_stale() -> None:
 def test_unknown_scenes_and_actuations_are_errors(options: dict[str, str], message: str) -> None:
     with pytest.raises(UnknownDriver, match=message):
         MujocoDriver(**options)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        (np.nan, 0.7),
+        (1.3, np.inf),
+        (1.3,),
+        (1.3, 0.7, 0.4),
+        ((1.3, 0.7),),
+        1.3,
+        None,
+        "table",
+        ((1.3,), 0.7),
+        (13.0, 0.7),
+        (1.3, -0.7),
+    ],
+    ids=str,
+)
+def test_a_place_where_no_object_can_be_moves_nothing(place: tuple[float, float]) -> None:
+    driver = started("push", object0=(1.25, 0.66))
+    tick(driver, [0.05, 0.0, 0.0])
+    driver.disarm()
+    before = driver.snapshot()
+    with pytest.raises(InvalidRequest, match=r"places 'object0' at .*, allowed: \(x, y\) from"):
+        driver.reset(ResetRequest({"object0": place}))
+    np.testing.assert_array_equal(driver.snapshot().qpos, before.qpos)
+    assert driver.reset(ResetRequest({"object0": (1.3, 0.7)})).outcome == "done"
+
+
+def test_nothing_is_restored_into_a_closed_robot() -> None:
+    snapshot = started("push").snapshot()
+    driver = MujocoDriver("push")
+    with pytest.raises(LifecycleError, match=r"restore on fetch-mujoco-mocap-push, .*not open"):
+        driver.restore(snapshot)
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        ("reach", r"nq is \d+, allowed: \d+"),
+        ("pick_and_place", "nu is 2, allowed: 0"),
+        ("slide", "differs, allowed: data of the same scene"),  # all sizes are equal
+    ],
+)
+def test_a_simulation_of_another_scene_is_not_restored(scene: str, message: str) -> None:
+    driver, other = started("push"), started(scene)
+    before = driver.snapshot()
+    with pytest.raises(InvalidRequest, match=f"data of another model: .*{message}"):
+        driver.restore(other.snapshot())
+    np.testing.assert_array_equal(driver.snapshot().qpos, before.qpos)
+    assert driver.is_armed
+    with pytest.raises(InvalidRequest, match="got a dict, allowed: MjData"):
+        driver.restore({})

@@ -1,0 +1,79 @@
+"""What may be asked of the simulated robot, checked before anything changes."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.command import ResetRequest
+from drivers.errors import InvalidRequest
+from drivers.spec import RobotSpec
+
+_MARGIN_M = 0.5
+"""How far outside the gripper's workspace an object may start: tables are larger than reach."""
+
+_SIZES = tuple("nq nv nu na nbody njnt ngeom nsite nmocap neq ntendon nsensordata".split())
+# Scenes differ in what is in them, and robots in the same scene do not.
+_CONSTANTS = ("qpos0", "body_mass", "geom_size", "geom_friction")
+
+
+def object_places(request: ResetRequest, spec: RobotSpec) -> dict[str, NDArray[np.float64]]:
+    """Return where a request puts the objects, in the spec's frame, m. Each ``(2,)``
+
+    Args:
+        request: The request.
+        spec: The robot.
+
+    Raises:
+        InvalidRequest: If there is no such object, or it can never be there.
+    """
+    unknown = request.objects.keys() - spec.objects.keys()
+    if unknown:
+        raise InvalidRequest(
+            f"reset names {sorted(unknown)}, objects of {spec.name}: {sorted(spec.objects)}"
+        )
+    return {name: _place(name, place, spec) for name, place in request.objects.items()}
+
+
+def _place(name: str, asked: object, spec: RobotSpec) -> NDArray[np.float64]:
+    box = spec.limits.workspace
+    lower = np.array(box.lower[:2]) - _MARGIN_M
+    upper = np.array(box.upper[:2]) + _MARGIN_M
+    try:
+        place = np.array(asked, dtype=np.float64)
+    except (TypeError, ValueError):
+        place = np.empty(0)  # no numbers at all: the same message
+    if place.shape != (2,) or not ((lower <= place) & (place <= upper)).all():  # nan: no
+        raise InvalidRequest(
+            f"reset of {spec.name} places {name!r} at {asked!r}, allowed: "
+            f"(x, y) from {tuple(lower.tolist())} to {tuple(upper.tolist())} m"
+        )
+    return place
+
+
+def require_same_model(model: mujoco.MjModel, data: object, name: str) -> None:
+    """Refuse a simulation of another model, whose numbers would mean something else.
+
+    Args:
+        model: The driver's.
+        data: What is to be restored.
+        name: Name of the robot, for the message.
+
+    Raises:
+        InvalidRequest: If sizes, masses or shapes differ.
+    """
+    if not isinstance(data, mujoco.MjData):
+        raise InvalidRequest(f"restore on {name} got a {type(data).__name__}, allowed: MjData")
+    for size in _SIZES:
+        found, own = getattr(data.model, size), getattr(model, size)
+        if found != own:
+            raise InvalidRequest(
+                f"restore on {name} got data of another model: {size} is {found}, allowed: {own}"
+            )
+    for constant in _CONSTANTS:
+        if not np.array_equal(getattr(data.model, constant), getattr(model, constant)):
+            raise InvalidRequest(
+                f"restore on {name} got data of another model: {constant} differs, "
+                "allowed: data of the same scene"
+            )
