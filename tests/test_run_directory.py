@@ -61,6 +61,7 @@ def test_a_folder_that_cannot_be_written_is_named(
 
 @pytest.mark.parametrize("missing", ["config.yaml", "ledger.sqlite"])
 def test_a_run_without_config_or_ledger_cannot_be_resumed(run: RunDirectory, missing: str) -> None:
+    run.episodes_path.mkdir(exist_ok=True)  # the run has begun
     (run.path / missing).unlink()
     with pytest.raises(UserError, match=f"no {missing}"):
         RunDirectory.open(run.path)
@@ -110,6 +111,11 @@ def test_metrics_are_replaced_by_those_of_a_checkpoint(run: RunDirectory) -> Non
     assert [row["epoch"] for row in run.read_metrics()] == [1, 2, 3, 4]
     run.replace_metrics([])
     assert run.read_metrics() == []
+
+
+def test_a_run_that_died_before_its_first_move_can_be_resumed(run: RunDirectory) -> None:
+    run.ledger_path.unlink(missing_ok=True)
+    assert RunDirectory.open(run.path).config_path == run.config_path
 
 
 def test_the_default_folder_names_the_run() -> None:
