@@ -58,8 +58,8 @@ class RunConfig(_Section):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where replay, models and policy live; auto takes a GPU if there is one."""
     threads: int = Field(default=1, ge=1, le=1024)
-    """Threads of torch's matrix products on the CPU. Batches of 256 gain nothing from more, and
-    where another program wants the second core, waiting for it costs most of the speed."""
+    """Threads of torch's matrix products on the CPU. With more than there are idle cores, waiting
+    for a busy one costs most of the speed."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
     until_success: float | None = Field(default=1.0, gt=0, le=1)

@@ -141,14 +141,15 @@ class TrainingRun:
                 "motion",
                 self.budget.reserve(ticks),
                 policy,
+                epoch=self.learner.epoch + 1,
                 seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
                 ticks=ticks,
                 exploration=self.config.learner.exploration,
             )
-            self.collected += 1
             episode = recorder.episode()
-            if episode is not None:
+            if episode is not None:  # counted as the store counts, or a resume would miss one
                 self.pending.append(episode)
+                self.collected += 1
             self.display.minutes(self._minutes)
 
     def _robot_episode(
@@ -157,6 +158,7 @@ class TrainingRun:
         reservation: AbstractContextManager[Entry],
         policy: Policy,
         *,
+        epoch: int,
         seed: int,
         ticks: int,
         exploration: ExplorationConfig | None,
@@ -178,7 +180,7 @@ class TrainingRun:
                 if episode is not None:
                     self.store.append(
                         episode,
-                        epoch=self.learner.epoch + 1,
+                        epoch=epoch,
                         told_source=recorder.told_source,
                         account=account,
                     )
@@ -222,7 +224,13 @@ class TrainingRun:
             if self.cell.simulator is None:
                 reservation = self.ledger.reserve("evaluation", ticks)
                 return self._robot_episode(
-                    "evaluation", reservation, policy, seed=seed, ticks=ticks, exploration=None
+                    "evaluation",
+                    reservation,
+                    policy,
+                    epoch=self.learner.epoch,
+                    seed=seed,
+                    ticks=ticks,
+                    exploration=None,
                 )
             recorder = Recorder()
             run_episode(self.cell.simulator, policy, recorder, seed=seed, ticks=ticks)

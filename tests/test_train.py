@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import json
 import re
@@ -171,6 +172,44 @@ def test_an_aborted_episode_is_charged_and_kept_and_the_run_goes_on(
     assert lengths == [20, 50]
     assert motion_ticks(tmp_path / "run") == 21 + 50
     assert metrics(tmp_path / "run")[-1]["real_transitions"] == 70
+
+
+def test_an_episode_without_a_whole_tick_does_not_stop_a_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, calls = GoalRobotEnv.step, 0
+
+    def abort_first(self: GoalRobotEnv, action: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            self.hold()
+            raise EpisodeAborted("stopped at once")
+        return original(self, action)
+
+    monkeypatch.setattr(GoalRobotEnv, "step", abort_first)
+    run(tmp_path / "run", EPOCH_MINUTES)  # 100 ticks, of which the first is lost
+    assert (motion_ticks(tmp_path / "run"), stored_ticks(tmp_path / "run")) == (100, 99)
+    resume(tmp_path / "run", display=False)
+    assert motion_ticks(tmp_path / "run") == 100
+
+
+def test_evaluation_on_a_robot_is_kept_and_charged_to_its_own_account(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = iher_robot.workcell.open_workcell
+
+    @contextmanager
+    def without_simulator(config: Any) -> Iterator[Any]:
+        with original(config) as cell:
+            yield dataclasses.replace(cell, simulator=None)
+
+    monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)
+    run(tmp_path / "run", EPOCH_MINUTES)
+    kept = [(s.account, s.epoch) for s in EpisodeStore(tmp_path / "run" / "episodes")]
+    assert kept == [("motion", 1)] * 2 + [("evaluation", 1)] * 2
+    with Ledger(tmp_path / "run" / "ledger.sqlite") as ledger:
+        assert (ledger.spent_ticks("motion"), ledger.spent_ticks("evaluation")) == (100, 100)
 
 
 def test_a_robot_that_cannot_be_reset_is_charged_nothing(
