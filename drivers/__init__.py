@@ -26,11 +26,13 @@ from drivers.errors import (
     UnknownDriver,
 )
 from drivers.gate import Fault
+from drivers.kinematics import Kinematics
 from drivers.limits import Box, GripperLimits, JointLimits, Limits
 from drivers.registry import driver_targets, make_driver
 from drivers.rendering import Renderable
+from drivers.safety import SafetyFilter
 from drivers.spec import ActionSpec, Home, ObjectSource, RobotSpec
-from drivers.state import AppliedCommand, Mode, ObjectPose, RobotState
+from drivers.state import AppliedCommand, JointSetpoint, Mode, ObjectPose, RobotState
 
 __all__ = [
     "EMERGENCY_STOP",
@@ -52,6 +54,8 @@ __all__ = [
     "InvalidSpec",
     "JointCommand",
     "JointLimits",
+    "JointSetpoint",
+    "Kinematics",
     "LifecycleError",
     "Limits",
     "Mode",
@@ -66,6 +70,7 @@ __all__ = [
     "RobotDriver",
     "RobotSpec",
     "RobotState",
+    "SafetyFilter",
     "SimulatedClock",
     "StaleState",
     "UnknownDriver",

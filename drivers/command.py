@@ -147,9 +147,12 @@ class ResetRequest:
 
     Attributes:
         objects: Position of each object on the table, in the spec's frame, m.
+        seed: Decides what a simulated robot draws by chance, such as noise; a real one
+            takes no notice of it.
     """
 
     objects: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    seed: int = 0
 
 
 class ResetOutcome(StrEnum):

@@ -19,15 +19,15 @@ from drivers.command import (
 )
 from drivers.errors import (
     HandsNotClear,
-    InvalidCommand,
     InvalidRequest,
     LifecycleError,
     StaleState,
 )
-from drivers.gate import CommandGate, Fault
+from drivers.gate import Fault
 from drivers.hooks import RobotHooks
+from drivers.safety import SafetyFilter
 from drivers.spec import RobotSpec
-from drivers.state import Mode, RobotState
+from drivers.state import JointSetpoint, Mode, RobotState
 
 log = logging.getLogger(__name__)
 
@@ -58,11 +58,14 @@ class RobotDriver(RobotHooks):
     tick counter and never falls. `applied` is the last command really applied.
 
     **Commands.** `command` hands over a target and returns acceptance only; what was applied
-    arrives in the next state, clipped as it says there. What a correct controller can meet
-    (disarmed, latched, expired, a state from before a reset) is a refusal, returned and
-    counted in `refusals`; what is a bug (a kind that the spec does not declare, a wrong
-    shape, a value that is not finite) raises `InvalidCommand`. Of several commands in a
-    tick the last accepted one counts. A tick without an accepted command is held.
+    arrives in the next state. Every command passes the `SafetyFilter` on the robot's side:
+    what exceeds a limit is cut, as a whole, and `AppliedCommand.clipped` and `clips` say why.
+    A joint command starts from `RobotState.setpoint`, and so does a controller. What a
+    correct controller can meet (disarmed, latched, expired, a state from before a reset) is a
+    refusal, returned and counted in `refusals`; what is a bug (a kind that the spec does not
+    declare, a wrong shape, a value that is not finite) raises `InvalidCommand`. Of several
+    commands in a tick the last accepted one counts. A tick without an accepted command is held:
+    that is the deadman.
 
     **Time.** The robot's side owns time and the tick counter. `advance` ends the control
     tick: a simulator steps its physics, a robot waits for its next tick. No time stamp is
@@ -83,11 +86,15 @@ class RobotDriver(RobotHooks):
         Args:
             spec: Its description.
             clock: The robot's clock; the machine's own by default.
+
+        Raises:
+            InvalidSpec: If it takes joint commands and its kinematic model cannot be used.
         """
         self._spec = spec
         self._clock: Clock = MonotonicClock() if clock is None else clock
         self._hooks = threading.RLock()  # held while a hook runs, up to a whole tick
-        self._gate = CommandGate(spec, self._clock)
+        self._safety = SafetyFilter(spec, self._clock)
+        self._gate = self._safety.gate
         self._open_now = False
         self._hands_clear = True
         self._speed_scale = 1.0
@@ -118,6 +125,11 @@ class RobotDriver(RobotHooks):
     def refusals(self) -> Mapping[Refusal, int]:
         """How many commands were refused, by reason, since construction."""
         return self._gate.refusals
+
+    @property
+    def clips(self) -> Mapping[str, int]:
+        """How many commands were cut by a limit, by reason, since construction."""
+        return self._safety.clips
 
     @property
     def speed_scale(self) -> float:
@@ -257,12 +269,12 @@ class RobotDriver(RobotHooks):
             LifecycleError: If the driver is not open.
             InvalidCommand: If this robot can never carry it out.
         """
-        self._require_valid(command)
+        self._safety.check(command)
         with self._hooks:
             self._require_open("command")
-            judgement = self._gate.judge(command)
+            judgement = self._safety.judge(command)
             if judgement.accepted:
-                self._apply(command)
+                self._apply(*self._safety.limit(command, self._read(), self._speed_scale))
             return judgement
 
     def advance(self) -> None:
@@ -295,6 +307,12 @@ class RobotDriver(RobotHooks):
         """
         with self._hooks:
             self._require_motion("reset")
+            unknown = request.objects.keys() - self.spec.objects.keys()
+            if unknown:
+                raise InvalidRequest(
+                    f"reset names {sorted(unknown)}, objects of {self.spec.name}: "
+                    f"{sorted(self.spec.objects)}"
+                )
             self._gate.forget_states()
             result = self._reset(request)
             if result.outcome is ResetOutcome.NEEDS_HUMAN:
@@ -318,6 +336,10 @@ class RobotDriver(RobotHooks):
             self._speed_scale = self.spec.limits.reduced_speed_scale
 
     # What the implementations share
+
+    def _brake(self, setpoint: JointSetpoint) -> JointSetpoint:
+        """Return where a tick without a command takes the joints: towards rest."""
+        return self._safety.brake(setpoint)
 
     def _abandon(self, error: BaseException) -> None:
         """Hold and disconnect what an `_open` that failed may have connected."""
@@ -361,11 +383,3 @@ class RobotDriver(RobotHooks):
             raise StaleState(
                 f"{what} of {self.spec.name} is {age_s:.3f} s old, allowed: {limit_s} s"
             )
-
-    def _require_valid(self, command: Command) -> None:
-        if command.kind not in self.spec.command_kinds:
-            raise InvalidCommand(
-                f"{self.spec.name} takes no {command.kind!r} command, "
-                f"allowed: {', '.join(self.spec.command_kinds)}"
-            )
-        command.check(self.spec)

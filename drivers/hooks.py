@@ -24,15 +24,20 @@ class RobotHooks(ABC):
 
     @abstractmethod
     def _read(self) -> RobotState:
-        """Return the newest measurement, however old it is."""
+        """Return the newest measurement, however old it is. Called often: keep it."""
 
     @abstractmethod
-    def _apply(self, command: Command) -> None:
-        """Take a valid, fresh command for this tick, replacing an earlier one."""
+    def _apply(self, command: Command, clipped: tuple[str, ...]) -> None:
+        """Take the command of this tick, replacing an earlier one.
+
+        Args:
+            command: Valid, fresh and within every limit.
+            clipped: Why it differs from what was asked, for `AppliedCommand`.
+        """
 
     @abstractmethod
     def _advance(self) -> None:
-        """Step the physics, or wait for the robot's next tick."""
+        """Step the physics, or wait for the robot's next tick; without a command, brake."""
 
     @abstractmethod
     def _reset(self, request: ResetRequest) -> ResetResult:

@@ -92,6 +92,7 @@ class Limits:
         gripper: Limits of the fingers.
         max_ee_speed_m_s: Speed of the end effector.
         workspace: Where the end effector may be.
+        keep_out: What no guarded part of the arm may enter, such as the table.
         watchdog_s: A command is refused when the state that it answers is older; without
             a fresh command for this long the robot holds.
         reduced_speed_scale: Share of every speed that is allowed after human help, in (0, 1].
@@ -103,6 +104,7 @@ class Limits:
     workspace: Box
     watchdog_s: float
     reduced_speed_scale: float = 0.25
+    keep_out: tuple[Box, ...] = ()
 
     def __post_init__(self) -> None:
         check_positive("max_ee_speed_m_s", self.max_ee_speed_m_s)

@@ -14,7 +14,7 @@ GROUP = "iher_robot.drivers"
 """Entry-point group in which a package names its driver factories."""
 
 # Named in code as well as in the package's metadata, so that an uninstalled checkout has it.
-_BUILT_IN = {"mujoco": "drivers.mujoco:MujocoDriver"}
+_BUILT_IN = {"mujoco": "drivers.mujoco:make_fetch"}
 
 
 class DriverFactory(Protocol):

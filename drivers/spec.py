@@ -66,11 +66,13 @@ class Home:
         ee_pos: Position of the end effector in the spec's frame, m.
         ee_quat: Its orientation, wxyz.
         object_heights: Height at which each object rests, m, where the robot knows it.
+        q: Joint positions, rad or m; a robot that takes joint commands declares them.
     """
 
     ee_pos: Vector3
     ee_quat: Quaternion
     object_heights: Mapping[str, float] = field(default_factory=dict)
+    q: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ class RobotSpec:
         limits: Every limit.
         gains: Gains of the low-level control, by name.
         calibration_id: Which calibration is in force.
-        kinematic_model: Digest of the kinematic model.
+        kinematic_model: Which kinematic model the robot has: MJCF text for `Kinematics` where
+            it takes joint commands, else any text that stands for it.
         home: Where it stands after a reset.
         physical: Whether something real moves.
         hold_on_silence_s: Time without a command after which the robot holds by itself;
@@ -167,7 +170,7 @@ class RobotSpec:
             "limits": to_json(self.limits),
             "gains": to_json(self.gains),
             "calibration_id": self.calibration_id,
-            "kinematic_model": self.kinematic_model,
+            "kinematic_model": digest(self.kinematic_model),
         }
 
     def interface_differences(self, other: RobotSpec) -> list[str]:

@@ -48,6 +48,24 @@ class AppliedCommand:
 
 
 @dataclass(frozen=True, eq=False)
+class JointSetpoint:
+    """What the robot's motors are told to follow. It makes its arrays read-only.
+
+    Attributes:
+        q: Joint positions, rad or m. ``(n_joints,)``
+        dq: Joint velocities. ``(n_joints,)``
+        fingers: Finger positions, m. ``(n_fingers,)``
+    """
+
+    q: Array
+    dq: Array
+    fingers: Array
+
+    def __post_init__(self) -> None:
+        _freeze(self.q, self.dq, self.fingers)
+
+
+@dataclass(frozen=True, eq=False)
 class ObjectPose:
     """The pose of an object as one sensor saw it. It makes its arrays read-only.
 
@@ -91,6 +109,8 @@ class RobotState:
         mode: What the robot is doing.
         fault: Name of the latched fault, None without one.
         applied: The last command really applied, None if none was since the reset.
+        setpoint: What the motors follow at the end of this tick, after every limit: where a
+            controller starts from. None where the robot takes no joint commands.
         objects: Pose of each object, by name.
     """
 
@@ -108,6 +128,7 @@ class RobotState:
     fault: str | None
     applied: AppliedCommand | None
     objects: Mapping[str, ObjectPose]
+    setpoint: JointSetpoint | None = None
 
     def __post_init__(self) -> None:
         _freeze(self.q, self.dq, self.ee_pos, self.ee_quat, self.ee_linvel, self.ee_angvel)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from drivers.mujoco.driver import MujocoDriver
+from drivers.mujoco.driver import MujocoDriver, make_fetch
+from drivers.mujoco.robot import FetchRobot
 from drivers.mujoco.scene import SCENES, FetchScene
 
-__all__ = ["SCENES", "FetchScene", "MujocoDriver"]
+__all__ = ["SCENES", "FetchRobot", "FetchScene", "MujocoDriver", "make_fetch"]

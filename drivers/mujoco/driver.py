@@ -9,64 +9,63 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.clipping import clip_displacement
 from drivers.clock import SimulatedClock
-from drivers.command import (
-    Command,
-    EndEffectorCommand,
-    ResetOutcome,
-    ResetRequest,
-    ResetResult,
-)
+from drivers.command import Command, ResetOutcome, ResetRequest, ResetResult
 from drivers.driver import RobotDriver
-from drivers.errors import UnknownDriver
-from drivers.mujoco.fetch_spec import FINGERS, fetch_spec
+from drivers.mujoco.actuation import Actuation, MocapActuation
+from drivers.mujoco.arm import arm_model, arm_start, kinematic_model
+from drivers.mujoco.fetch_spec import fetch_spec, kinematic_digest
 from drivers.mujoco.measure import Sensors
-from drivers.mujoco.picture import Camera
+from drivers.mujoco.picture import Pictures
 from drivers.mujoco.requests import object_places, require_same_model
-from drivers.mujoco.scene import POINTING_DOWN, SUBSTEPS, find_scene, load_model, settle
-from drivers.names import unknown
+from drivers.mujoco.robot import FetchRobot, fetch_robot
+from drivers.mujoco.scene import find_scene, mocap_model, prepare, settle
+from drivers.mujoco.servo import JointActuation
 from drivers.state import AppliedCommand, RobotState
-
-ACTUATIONS = ("mocap",)
 
 
 class MujocoDriver(RobotDriver):
-    """A Fetch robot in MuJoCo, dragged by a mocap body.
+    """A Fetch robot in MuJoCo.
 
-    Nothing enforces joint limits in this actuation: it is for benchmarks in simulation. Its
-    clock is simulated, so that a pause never makes a state stale.
+    In ``joint`` actuation motors move its joints, within the limits of the real one. In
+    ``mocap`` actuation a mocap body drags the gripper along and nothing enforces joint limits:
+    it equals gymnasium-robotics' environments, for benchmarks in simulation.
+
+    The clock is simulated, so that a pause never makes a state stale.
     """
 
-    def __init__(self, scene: str = "push", actuation: str = "mocap") -> None:
+    def __init__(self, scene: str = "push", robot: FetchRobot | None = None) -> None:
         """Compile a scene and find where its episodes start.
 
         Args:
             scene: ``"reach"``, ``"push"``, ``"pick_and_place"`` or ``"slide"``.
-            actuation: ``"mocap"``.
+            robot: What distinguishes this robot from other Fetch robots.
 
         Raises:
-            UnknownDriver: If there is no such scene or actuation.
+            UnknownDriver: If there is no such scene.
         """
-        if actuation not in ACTUATIONS:
-            raise UnknownDriver(unknown("actuation of driver 'mujoco':", actuation, ACTUATIONS))
+        self._robot = FetchRobot() if robot is None else robot
         self._scene = find_scene(scene)
-        self._model = load_model(self._scene)
-        self._start = settle(self._model, self._scene)
+        self._actuation: Actuation
+        if self._robot.actuation == "mocap":
+            self._model = mocap_model(self._scene)
+            kinematics = kinematic_digest(self._model)
+            self._start = settle(self._model, self._scene)
+            self._actuation = MocapActuation(self._model, self._scene.locked_fingers)
+        else:
+            self._model = arm_model(self._scene, self._robot)
+            kinematics = kinematic_model(self._scene)
+            self._start = arm_start(self._model, self._scene)
+            self._actuation = JointActuation(self._model, self._brake)
+        prepare(self._model, self._robot.object)
         self._sim_clock = SimulatedClock()
-        super().__init__(fetch_spec(self._model, scene, self._scene, self._start), self._sim_clock)
+        spec = fetch_spec(self._model, scene, self._scene, self._start, self._robot, kinematics)
+        super().__init__(spec, self._sim_clock)
         self._data = mujoco.MjData(self._model)
-        self._sensors = Sensors(self._model, self.spec)
-        self._camera: Camera | None = None
-        self._gripper = self._model.body("robot0:gripper_link").id
-        self._finger_qpos = [int(self._model.joint(name).qposadr[0]) for name in FINGERS]
-        # Actuators come in an order of their own: for each, its joint and its finger.
-        driven = [int(joint) for joint in self._model.actuator_trnid[:, 0]]
-        self._actuated_qpos = self._model.jnt_qposadr[driven]
-        self._actuated_finger = [FINGERS.index(self._model.joint(joint).name) for joint in driven]
+        self._sensors = Sensors(self._model, self.spec, self._robot.sensors)
+        self._pictures = Pictures(self._model)
         self._seq = 0
-        self._pending: EndEffectorCommand | None = None
-        self._holding = False
+        self._pending: tuple[Command, tuple[str, ...]] | None = None
         self._applied: AppliedCommand | None = None
         self._measured: RobotState | None = None
 
@@ -78,7 +77,8 @@ class MujocoDriver(RobotDriver):
     def restore(self, data: mujoco.MjData) -> None:
         """Continue from a snapshot, or from a simulation of the same model elsewhere.
 
-        States read before are no longer answerable, as after a reset.
+        States read before are no longer answerable, as after a reset; a camera has seen
+        nothing yet, and noise is drawn anew.
 
         Args:
             data: Copied, not kept.
@@ -93,92 +93,86 @@ class MujocoDriver(RobotDriver):
             self._hold()
             self._gate.forget_states()
             self._data = copy.copy(data)
-            self._begin_anew()
+            self._actuation.resume()
+            self._begin_anew(seed=0)
 
     def render(
-        self, width: int, height: int, goal: NDArray[np.float64] | None = None
+        self,
+        width: int,
+        height: int,
+        goal: NDArray[np.float64] | None = None,
+        reached: bool = False,
     ) -> NDArray[np.uint8]:
-        """Return a picture of the scene. The environment variable MUJOCO_GL must be set.
+        """Return a picture of the scene. Without a display MUJOCO_GL must be set.
 
         Args:
             width: Pixels.
             height: Pixels.
-            goal: Marked in red, world frame, m. ``(3,)``
+            goal: Marked in red, or in green once it is reached, world frame, m. ``(3,)``
+            reached: Whether the goal is reached.
 
         Returns:
             RGB. ``(height, width, 3)``
+
+        Raises:
+            CannotRender: If nothing draws here.
         """
         with self._hooks:
-            if self._camera is None or self._camera.size != (width, height):
-                if self._camera is not None:
-                    self._camera.close()
-                self._camera = Camera(self._model, width, height)
-            return self._camera.take(self._data, goal)
+            return self._pictures.take(self._data, (width, height), goal, reached)
+
+    def show(self, goal: NDArray[np.float64] | None = None, reached: bool = False) -> bool:
+        """Bring MuJoCo's viewer up to date; the first call opens it, `close` closes it.
+
+        Args:
+            goal: Marked in red, or in green once it is reached, world frame, m. ``(3,)``
+            reached: Whether the goal is reached.
+
+        Returns:
+            Whether the window is open still.
+
+        Raises:
+            CannotRender: If no window opens here.
+        """
+        with self._hooks:
+            return self._pictures.show(self._data, goal, reached)
 
     def _open(self) -> None:
-        self._restore_start({})
+        self._restore_start({}, seed=0)
         self._hold()
 
     def _close(self) -> None:
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        self._pictures.close()
 
     def _hold(self) -> None:
         self._pending = None
 
     def _read(self) -> RobotState:
+        assert self._measured is not None, "every tick and every reset measures"
         moving = self._applied is not None and self._applied.tick == self._seq
-        mode = self._mode(moving)
-        fault = None if self.fault is None else self.fault.name
-        measured = self._measured
-        if measured is None:
-            now_ns = self._sim_clock.now_ns()
-            measured = self._sensors.read(self._data, self._seq, now_ns, mode, fault, self._applied)
-            self._measured = measured
-        elif (measured.mode, measured.fault) != (mode, fault):
-            measured = dataclasses.replace(measured, mode=mode, fault=fault)
-            self._measured = measured
-        return measured
+        mode, fault = self._mode(moving), None if self.fault is None else self.fault.name
+        if (self._measured.mode, self._measured.fault) != (mode, fault):
+            self._measured = dataclasses.replace(self._measured, mode=mode, fault=fault)
+        return self._measured
 
-    def _apply(self, command: Command) -> None:
-        assert isinstance(command, EndEffectorCommand)
-        self._pending = command
+    def _apply(self, command: Command, clipped: tuple[str, ...]) -> None:
+        self._pending = (command, clipped)
 
     def _advance(self) -> None:
-        command = self._pending
-        self._pending = None
+        pending, self._pending = self._pending, None
         self._seq += 1
-        self._measured = None
-        if command is not None:
-            command, clipped = clip_displacement(command, self.spec.action)
-            self._aim(command.delta_pos, command.finger_delta)
-            self._holding = False
+        command = None
+        if pending is not None:
+            command, clipped = pending
             self._applied = AppliedCommand(self._seq, command, clipped)
-        elif not self._holding:  # once: aiming anew at every tick would drift with the sag
-            self._aim(np.zeros(3), np.zeros(len(FINGERS)))
-            self._holding = True
-        mujoco.mj_step(self._model, self._data, nstep=SUBSTEPS)
-        if self._scene.locked_fingers:
-            # Without this scene property the sites lag the joints by a sub-step, as they do
-            # in the reference (MujocoFetchEnv._step_callback).
-            self._data.qpos[self._finger_qpos] = 0.0
-            mujoco.mj_forward(self._model, self._data)
+        self._actuation.tick(self._data, command)
         self._sim_clock.advance_ns(self.spec.control_period_ns)
-
-    def _aim(self, delta_pos: NDArray[np.float64], finger_delta: NDArray[np.float64]) -> None:
-        # Relative to where the body *is*, so that an action of 1 moves about 33 of its 50 mm.
-        data = self._data
-        data.mocap_pos[0] = data.xpos[self._gripper] + delta_pos
-        data.mocap_quat[0] = data.xquat[self._gripper] + POINTING_DOWN
-        if self._model.nu:
-            data.ctrl[:] = data.qpos[self._actuated_qpos] + finger_delta[self._actuated_finger]
+        self._measure()
 
     def _reset(self, request: ResetRequest) -> ResetResult:
-        self._restore_start(object_places(request, self.spec))
+        self._restore_start(object_places(request, self.spec), request.seed)
         return ResetResult(ResetOutcome.DONE)
 
-    def _restore_start(self, places: dict[str, NDArray[np.float64]]) -> None:
+    def _restore_start(self, places: dict[str, NDArray[np.float64]], seed: int) -> None:
         mujoco.mj_resetData(self._model, self._data)
         self._data.time = self._start.time
         self._data.qpos[:] = self._start.qpos
@@ -187,11 +181,38 @@ class MujocoDriver(RobotDriver):
             address = self._model.joint(f"{name}:joint").qposadr[0]
             self._data.qpos[address : address + 2] = place
         mujoco.mj_forward(self._model, self._data)
-        self._begin_anew()
+        self._actuation.begin(self._data)
+        self._begin_anew(seed)
 
-    def _begin_anew(self) -> None:
+    def _begin_anew(self, seed: int) -> None:
         self._seq += 1
         self._sim_clock.advance_ns(self.spec.control_period_ns)
         self._applied = None
-        self._holding = False
-        self._measured = None
+        self._sensors.begin(seed)
+        self._measure()
+
+    def _measure(self) -> None:
+        """Measure once a tick: pictures are taken whether anybody reads or not."""
+        self._measured = self._sensors.read(
+            self._data,
+            self._seq,
+            self._sim_clock.now_ns(),
+            self._mode(self._applied is not None and self._applied.tick == self._seq),
+            None if self.fault is None else self.fault.name,
+            self._applied,
+            self._actuation.setpoint(self._data),
+        )
+
+
+def make_fetch(*, scene: str, **options: object) -> MujocoDriver:
+    """Make a simulated Fetch robot, as the registry of drivers asks for one.
+
+    Args:
+        scene: Name of the scene.
+        options: As in a file of ``configs/robots``.
+
+    Raises:
+        UnknownDriver: If there is no such scene.
+        InvalidSpec: If an option is unknown or its value not allowed.
+    """
+    return MujocoDriver(scene, fetch_robot(options))

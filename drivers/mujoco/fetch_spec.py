@@ -8,82 +8,146 @@ import mujoco
 import numpy as np
 
 from drivers.canonical import digest
+from drivers.command import EndEffectorCommand, JointCommand
 from drivers.limits import Box, GripperLimits, JointLimits, Limits
+from drivers.mujoco.robot import FetchRobot
 from drivers.mujoco.scene import SUBSTEPS, FetchScene, StartState
 from drivers.spec import ActionSpec, Home, ObjectSource, RobotSpec
 
 OBJECT = "object0"
 FINGERS = ("robot0:r_gripper_finger_joint", "robot0:l_gripper_finger_joint")
 
-# Velocity and acceleration as fetch_ros declares them (fetch_moveit_config/joint_limits.yaml);
-# positions come from the model.
-_RATES = {
-    "robot0:torso_lift_joint": (0.1, 0.5),
-    "robot0:shoulder_pan_joint": (1.256, 1.5),
-    "robot0:shoulder_lift_joint": (1.0, 1.0),
-    "robot0:upperarm_roll_joint": (1.57, 1.5),
-    "robot0:elbow_flex_joint": (1.5, 1.5),
-    "robot0:forearm_roll_joint": (1.57, 1.5),
-    "robot0:wrist_flex_joint": (2.26, 2.5),
-    "robot0:wrist_roll_joint": (2.26, 2.5),
-}
+ARM_JOINTS = tuple(
+    f"robot0:{name}_joint"
+    for name in (
+        "torso_lift",
+        "shoulder_pan",
+        "shoulder_lift",
+        "upperarm_roll",
+        "elbow_flex",
+        "forearm_roll",
+        "wrist_flex",
+        "wrist_roll",
+    )
+)
+"""Joints of torso and arm, from the base outwards."""
+
+# Greatest velocity, as fetch_ros declares it (fetch_description/robots/fetch.urdf).
+_VELOCITIES = (0.1, 1.256, 1.454, 1.571, 1.521, 1.571, 2.268, 2.268)
+# What the motors can do, rounded down: the torque limit of fetch.urdf less gravity, over the
+# inertia about the joint at home, but no more than 60 rad/s^2. The accelerations that fetch_ros
+# plans with (fetch_moveit_config/joint_limits.yaml: 1.0 to 2.5 rad/s^2) are a planner's choice:
+# from rest to full speed they take a second, half an episode.
+_ACCELERATIONS = (0.5, 11.0, 40.0, 60.0, 60.0, 60.0, 60.0, 60.0)
+# As the real one (Fetch Robotics, data sheet: 1.0 m/s), and the table that stands before it.
+_EE_SPEED = 1.0
+# From the height at which the fingers, which end 18.5 mm below the grip site, touch the table.
+_WORKSPACE = Box((0.6, 0.2, 0.4185), (1.8, 1.3, 1.2))
+# In mocap actuation nothing is enforced: no episode of the reference gets to these.
+_MOCAP_EE_SPEED = 2.2
+_MOCAP_WORKSPACE = Box((-1.0, -1.0, -0.5), (3.0, 2.5, 2.5))
 
 
 def fetch_spec(
-    model: mujoco.MjModel, scene_name: str, scene: FetchScene, start: StartState
+    model: mujoco.MjModel,
+    scene_name: str,
+    scene: FetchScene,
+    start: StartState,
+    robot: FetchRobot,
+    kinematic_model: str,
 ) -> RobotSpec:
-    """Describe the robot of a scene in mocap actuation.
+    """Describe the robot of a scene.
 
     Args:
         model: The compiled scene.
         scene_name: Name of the scene.
         scene: Its constants.
         start: Where an episode starts.
+        robot: What distinguishes it from other Fetch robots.
+        kinematic_model: The arm, as text.
 
     Returns:
-        The description. Its joint limits are those of the real robot, and are not enforced:
-        a mocap body drags the arm along.
+        The description. In mocap actuation its joint limits are not enforced: a mocap body
+        drags the arm along.
     """
     period_s = SUBSTEPS * model.opt.timestep
-    has_object = scene.object_qpos is not None
-    sources = {OBJECT: ObjectSource("simulator", "world", max_age_s=period_s)}
+    mocap = robot.actuation == "mocap"
     heights = {} if start.object_height is None else {OBJECT: start.object_height}
     x, y, z = map(float, start.ee_pos)
     qw, qx, qy, qz = map(float, start.ee_quat)
+    limits = _limits(model, robot, watchdog_s=2.5 * period_s)
     return RobotSpec(
-        name=f"fetch-mujoco-mocap-{scene_name}",
-        command_kinds=("ee_delta",),
-        action=ActionSpec(),
+        name=f"fetch-mujoco-{robot.actuation}-{scene_name}",
+        command_kinds=(EndEffectorCommand.kind if mocap else JointCommand.kind,),
+        action=ActionSpec() if mocap else _joint_action(limits, period_s),
         control_period_s=period_s,
         frame="world",
-        objects=sources if has_object else {},
+        objects={} if scene.object_qpos is None else {OBJECT: _camera(robot, period_s)},
         finger_names=FINGERS,
-        limits=_limits(model, watchdog_s=2.5 * period_s),
-        gains={},
+        limits=limits,
+        gains={} if mocap else _gains(robot),
         calibration_id="simulated",
-        kinematic_model=kinematic_digest(model),
-        home=Home((x, y, z), (qw, qx, qy, qz), heights),
+        kinematic_model=kinematic_model,
+        home=Home((x, y, z), (qw, qx, qy, qz), heights, _home_q(model, start)),
         physical=False,
         hold_on_silence_s=None,
-        enforces_joint_limits=False,
+        enforces_joint_limits=not mocap,
     )
 
 
-def _limits(model: mujoco.MjModel, watchdog_s: float) -> Limits:
+def _home_q(model: mujoco.MjModel, start: StartState) -> tuple[float, ...]:
+    return tuple(float(start.qpos[model.joint(name).qposadr[0]]) for name in ARM_JOINTS)
+
+
+def _joint_action(limits: Limits, period_s: float) -> ActionSpec:
+    """What an action of 1 really moves in mocap actuation, and the gripper's greatest speed."""
+    return ActionSpec(
+        position_scale_m=0.033, gripper_scale_m=limits.gripper.max_speed_m_s * period_s
+    )
+
+
+def _gains(robot: FetchRobot) -> dict[str, float]:
+    return {
+        "arm_kp": robot.arm.kp,
+        "arm_damping_ratio": robot.arm.damping_ratio,
+        "finger_kp": robot.gripper.kp,
+    }
+
+
+def _camera(robot: FetchRobot, period_s: float) -> ObjectSource:
+    sensors = robot.sensors
+    between_s = 0.0 if sensors.object_rate_hz is None else 1.0 / sensors.object_rate_hz
+    # Just before the next picture arrives, and one tick for what is measured in between.
+    age_s = between_s + sensors.object_delay_s + period_s
+    return ObjectSource("simulator", "world", max_age_s=age_s)
+
+
+def _limits(model: mujoco.MjModel, robot: FetchRobot, watchdog_s: float) -> Limits:
     joints = {}
-    for name, (velocity, acceleration) in _RATES.items():
+    for name, velocity, acceleration in zip(ARM_JOINTS, _VELOCITIES, _ACCELERATIONS, strict=True):
         joint = model.joint(name)
         limited = bool(joint.limited[0])
         lower, upper = map(float, joint.range) if limited else (-math.inf, math.inf)
-        joints[name] = JointLimits(lower, upper, velocity, acceleration)
+        most = acceleration * robot.arm.acceleration_scale
+        joints[name] = JointLimits(lower, upper, velocity, most)
     closed, opened = map(float, model.joint(FINGERS[0]).range)
+    mocap = robot.actuation == "mocap"
     return Limits(
         joints=joints,
         gripper=GripperLimits(closed, opened, max_speed_m_s=0.05),
-        max_ee_speed_m_s=1.0,
-        workspace=Box((0.6, 0.2, 0.4), (1.8, 1.3, 1.2)),
+        max_ee_speed_m_s=_MOCAP_EE_SPEED if mocap else _EE_SPEED,
+        workspace=_MOCAP_WORKSPACE if mocap else _WORKSPACE,
         watchdog_s=watchdog_s,
+        keep_out=() if mocap else (_table(model),),
     )
+
+
+def _table(model: mujoco.MjModel) -> Box:
+    body = model.body("table0")
+    geom = int(body.geomadr[0])
+    half, centre = model.geom_size[geom], body.pos + model.geom_pos[geom]
+    lower, upper = (tuple(map(float, centre + side * half)) for side in (-1.0, 1.0))
+    return Box((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]))
 
 
 def kinematic_digest(model: mujoco.MjModel) -> str:

@@ -1,70 +1,108 @@
-"""Pictures of the simulation."""
+"""Pictures of the simulation, and a window on it."""
 
 from __future__ import annotations
-
-import copy
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-_GOAL_RADIUS_M = 0.02
-_RED = np.array([1.0, 0.0, 0.0, 1.0], dtype=np.float32)
+from drivers.mujoco.view import Goal, in_a_line, look, mark_goal, settled
+from drivers.mujoco.window import Launch, Window, launch_passive
+from drivers.rendering import RENDERERS, CannotRender
 
 
-class Camera:
-    """An offscreen camera where gymnasium-robotics' Fetch environments have theirs."""
+class Pictures:
+    """Camera and window of one simulation; neither is opened before it is used."""
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        """Open a rendering context.
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        launch: Launch = launch_passive,
+    ) -> None:
+        """Remember what to show.
 
         Args:
             model: The compiled scene.
-            width: Pixels.
-            height: Pixels.
+            launch: Opens the window.
         """
-        model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
-        model.vis.global_.offheight = max(model.vis.global_.offheight, height)
-        self.size = (width, height)
         self._model = model
-        self._renderer = mujoco.Renderer(model, height, width)
-        self._view = mujoco.MjvCamera()
-        self._view.distance = 2.5
-        self._view.azimuth = 132.0
-        self._view.elevation = -14.0
-        self._view.lookat[:] = (1.3, 0.75, 0.55)
+        self._launch = launch
+        self._camera: _Camera | None = None
+        self._window: Window | None = None
 
-    def take(self, data: mujoco.MjData, goal: NDArray[np.float64] | None) -> NDArray[np.uint8]:
+    def take(
+        self, data: mujoco.MjData, size: tuple[int, int], goal: Goal, reached: bool
+    ) -> NDArray[np.uint8]:
         """Render one picture, leaving the simulation untouched to the last bit.
 
         Args:
             data: The simulation.
-            goal: Marked in red, world frame, m. ``(3,)``
+            size: Width and height, pixels.
+            goal: Marked, world frame, m. ``(3,)``
+            reached: Whether the goal is reached.
 
         Returns:
             RGB. ``(height, width, 3)``
+
+        Raises:
+            CannotRender: If nothing draws here.
         """
-        shown = copy.copy(data)
-        mujoco.mj_forward(self._model, shown)
-        self._renderer.update_scene(shown, self._view)
-        if goal is not None:
-            self._mark(goal)
+        if self._camera is not None and self._camera.size != size:
+            self._camera.close()
+            self._camera = None
+        if self._camera is None:
+            self._camera = _Camera(self._model, size)
+        return self._camera.take(data, goal, reached)
+
+    def show(self, data: mujoco.MjData, goal: Goal, reached: bool) -> bool:
+        """Bring the window up to date, leaving the simulation untouched to the last bit.
+
+        Args:
+            data: The simulation.
+            goal: Marked, world frame, m. ``(3,)``
+            reached: Whether the goal is reached.
+
+        Returns:
+            Whether the window is open still.
+
+        Raises:
+            CannotRender: If no window opens here.
+        """
+        if self._window is None:
+            self._window = Window(self._model, self._launch)
+        return self._window.show(data, goal, reached)
+
+    def close(self) -> None:
+        """Free the rendering context and close the window."""
+        for shown in (self._camera, self._window):
+            if shown is not None:
+                shown.close()
+        self._camera = self._window = None
+
+
+class _Camera:
+    """Stands where gymnasium-robotics' Fetch environments have theirs."""
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+        width, height = size
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, height)
+        self.size = size
+        self._model = model
+        try:
+            self._renderer = mujoco.Renderer(model, height, width)
+        # AttributeError: PyOpenGL's own way of saying that a library is not there.
+        except (AttributeError, ImportError, RuntimeError, mujoco.FatalError) as error:
+            raise CannotRender(
+                f"MuJoCo cannot draw here: {in_a_line(error)}; set MUJOCO_GL to {RENDERERS}"
+            ) from error
+        self._view = mujoco.MjvCamera()
+        look(self._view)
+
+    def take(self, data: mujoco.MjData, goal: Goal, reached: bool) -> NDArray[np.uint8]:
+        self._renderer.update_scene(settled(self._model, data), self._view)
+        mark_goal(self._renderer.scene, goal, reached)
         return np.asarray(self._renderer.render(), dtype=np.uint8)
 
     def close(self) -> None:
-        """Free the rendering context."""
         self._renderer.close()
-
-    def _mark(self, goal: NDArray[np.float64]) -> None:
-        scene = self._renderer.scene
-        if scene.ngeom >= scene.maxgeom:
-            return
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom],
-            type=int(mujoco.mjtGeom.mjGEOM_SPHERE),
-            size=np.full(3, _GOAL_RADIUS_M),
-            pos=np.asarray(goal, dtype=np.float64),
-            mat=np.eye(3).ravel(),
-            rgba=_RED,
-        )
-        scene.ngeom += 1

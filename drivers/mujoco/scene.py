@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import UnknownDriver
+from drivers.mujoco.robot import ObjectParameters
 from drivers.names import unknown
 
 SUBSTEPS = 20
@@ -62,8 +63,8 @@ def find_scene(name: str) -> FetchScene:
     return SCENES[name]
 
 
-def load_model(scene: FetchScene) -> mujoco.MjModel:
-    """Compile a scene from the files that gymnasium-robotics brings.
+def assets_folder() -> Path:
+    """Return the folder of the Fetch model files that gymnasium-robotics brings.
 
     Raises:
         FileNotFoundError: If gymnasium-robotics is not installed.
@@ -72,11 +73,38 @@ def load_model(scene: FetchScene) -> mujoco.MjModel:
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or not found.submodule_search_locations:
         raise FileNotFoundError("the Fetch model files come with gymnasium-robotics; install it")
-    folder = Path(found.submodule_search_locations[0]) / "envs" / "assets" / "fetch"
-    model = mujoco.MjModel.from_xml_path(str(folder / scene.file))
+    return Path(found.submodule_search_locations[0]) / "envs" / "assets" / "fetch"
+
+
+def mocap_model(scene: FetchScene) -> mujoco.MjModel:
+    """Compile a scene whose robot is dragged by a mocap body, as the reference has it.
+
+    Raises:
+        FileNotFoundError: If gymnasium-robotics is not installed.
+    """
+    model = mujoco.MjModel.from_xml_path(str(assets_folder() / scene.file))
     model.eq_data[:, :7] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the weld holds without an offset
-    model.site("target0").rgba[3] = 0.0  # a goal is drawn by the renderer, where it really is
     return model
+
+
+def prepare(model: mujoco.MjModel, parameters: ObjectParameters) -> None:
+    """Set what differs from one scene's object to another's, and take the goal out of sight.
+
+    Args:
+        model: The compiled scene, changed in place.
+        parameters: Of the object.
+    """
+    model.site("target0").rgba[3] = 0.0  # a goal is drawn by the renderer, where it really is
+    bodies = [body for body in range(model.nbody) if model.body(body).name in ("object0", "table0")]
+    for body in bodies:
+        first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+        geoms = slice(first, first + count)
+        # Of two bodies in contact the greater friction counts.
+        model.geom_friction[geoms, 0] *= parameters.friction_scale
+        if model.body(body).name == "object0":
+            model.body_mass[body] *= parameters.mass_scale
+            model.body_inertia[body] *= parameters.mass_scale
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +129,13 @@ class StartState:
     object_height: float | None
 
 
-def settle(model: mujoco.MjModel, scene: FetchScene) -> StartState:
+def settle(model: mujoco.MjModel, scene: FetchScene, lift_m: float = 0.0) -> StartState:
     """Bring the gripper home, as `MujocoFetchEnv._env_setup` does.
 
     Args:
-        model: The compiled scene.
+        model: Compiled by `mocap_model`.
         scene: Its constants.
+        lift_m: How much higher than there.
 
     Returns:
         Where every episode starts.
@@ -119,16 +148,22 @@ def settle(model: mujoco.MjModel, scene: FetchScene) -> StartState:
         data.qpos[address : address + 7] = scene.object_qpos
     mujoco.mj_forward(model, data)
     grip = data.site("robot0:grip")
-    data.mocap_pos[0] = np.array([-0.498, 0.005, -0.431 + scene.gripper_height]) + grip.xpos
+    offset = np.array([-0.498, 0.005, -0.431 + scene.gripper_height + lift_m])
+    data.mocap_pos[0] = offset + grip.xpos
     data.mocap_quat[0] = POINTING_DOWN
     for _ in range(_SETTLING_TICKS):
         mujoco.mj_step(model, data, nstep=SUBSTEPS)
+    return start_of(data, scene)
+
+
+def start_of(data: mujoco.MjData, scene: FetchScene) -> StartState:
+    """Return the state of a simulation as the start of every episode."""
     has_object = scene.object_qpos is not None
     return StartState(
         qpos=data.qpos.copy(),
         qvel=data.qvel.copy(),
         time=data.time,
-        ee_pos=grip.xpos.copy(),
+        ee_pos=data.site("robot0:grip").xpos.copy(),
         ee_quat=data.body("robot0:gripper_link").xquat.copy(),
         object_height=float(data.site("object0").xpos[2]) if has_object else None,
     )

@@ -10,10 +10,12 @@ from drivers import (
     ActionSpec,
     AppliedCommand,
     Box,
+    Clock,
     Command,
     EndEffectorCommand,
     GripperLimits,
     Home,
+    InvalidRequest,
     JointLimits,
     Limits,
     ObjectPose,
@@ -43,7 +45,7 @@ def fake_spec() -> RobotSpec:
         limits=Limits(
             joints={"shoulder": JointLimits(-1.0, 1.0, 2.0, 3.0)},
             gripper=GripperLimits(0.0, 0.05, 0.1),
-            max_ee_speed_m_s=1.0,
+            max_ee_speed_m_s=2.5,
             workspace=Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
             watchdog_s=0.1,
             reduced_speed_scale=0.25,
@@ -62,7 +64,7 @@ class FakeRobot(RobotDriver):
     """Moves by ``delta_pos`` each tick.
 
     Attributes:
-        clock: Its clock, which the test may advance.
+        clock: Its simulated clock, which the test may advance.
         calls: Hooks called, in order.
         failing: Hooks that raise.
         outcomes: What the next resets answer, done when empty.
@@ -73,9 +75,9 @@ class FakeRobot(RobotDriver):
         waiting: Set while `advance` waits for `released`, if `slow` is set.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, spec: RobotSpec | None = None, clock: Clock | None = None) -> None:
         self.clock = SimulatedClock()
-        super().__init__(fake_spec(), self.clock)
+        super().__init__(fake_spec() if spec is None else spec, clock or self.clock)
         self.calls: list[str] = []
         self.failing: set[str] = set()
         self.outcomes: list[ResetOutcome] = []
@@ -88,7 +90,8 @@ class FakeRobot(RobotDriver):
         self.released = threading.Event()
         self.position = np.array(self.spec.home.ee_pos)
         self.place = np.array([0.6, 0.6, 0.4])
-        self.pending: EndEffectorCommand | None = None
+        self.moved = np.zeros(3)
+        self.pending: tuple[EndEffectorCommand, tuple[str, ...]] | None = None
         self.applied: AppliedCommand | None = None
         self.seq = 0
         self.stamp_ns = 0
@@ -100,6 +103,7 @@ class FakeRobot(RobotDriver):
 
     def _open(self) -> None:
         self._called("open")
+        self.stamp_ns = self._clock.now_ns()
 
     def _hold(self) -> None:
         self.pending = None
@@ -108,39 +112,48 @@ class FakeRobot(RobotDriver):
     def _close(self) -> None:
         self._called("close")
 
-    def _apply(self, command: Command) -> None:
+    def _apply(self, command: Command, clipped: tuple[str, ...]) -> None:
         assert isinstance(command, EndEffectorCommand)
         self._called("apply")
-        self.pending = command
+        self.pending = (command, clipped)
 
     def _advance(self) -> None:
         self._called("advance")
         if self.slow:
             self.waiting.set()
             assert self.released.wait(timeout=10.0)
-        self.clock.advance_ns(PERIOD_NS)
+        self._clock.sleep_until_ns(self._clock.now_ns() + self.spec.control_period_ns)
         if self.frozen:
             return
         self.seq += 1 + self.lost_ticks
-        self.stamp_ns = self.clock.now_ns()
+        self.stamp_ns = self._clock.now_ns()
+        self.moved = np.zeros(3)
         if self.pending is not None:
-            delta = np.clip(self.pending.delta_pos, -self.clip_to_m, self.clip_to_m)
-            clipped = () if (delta == self.pending.delta_pos).all() else ("ee_speed",)
-            command = EndEffectorCommand(self.pending.answers, delta, self.pending.finger_delta)
-            self.applied = AppliedCommand(self.seq, command, clipped)
-            self.position = self.position + delta
+            self._move(*self.pending)
         self.pending = None
+
+    def _move(self, command: EndEffectorCommand, clipped: tuple[str, ...]) -> None:
+        self.moved = np.clip(command.delta_pos, -self.clip_to_m, self.clip_to_m)
+        if (self.moved != command.delta_pos).any():
+            command = EndEffectorCommand(command.answers, self.moved, command.finger_delta)
+            clipped = (*clipped, "ee_speed")
+        self.applied = AppliedCommand(self.seq, command, clipped)
+        self.position = self.position + self.moved
 
     def _reset(self, request: ResetRequest) -> ResetResult:
         self._called("reset")
+        for name, place in request.objects.items():
+            if name not in self.spec.objects or not np.less(np.abs(place), 10.0).all():
+                raise InvalidRequest(f"{name!r} at {place}, allowed: object0 within 10 m")
         outcome = self.outcomes.pop(0) if self.outcomes else ResetOutcome.DONE
         if outcome is ResetOutcome.DONE:
             self.position = np.array(self.spec.home.ee_pos)
+            self.moved = np.zeros(3)
             for place in request.objects.values():
                 self.place = np.array([*place, 0.4])
             self.applied = None
             self.seq += 1
-            self.stamp_ns = self.clock.now_ns()
+            self.stamp_ns = self._clock.now_ns()
         return ResetResult(outcome, "the object fell off the table")
 
     def _read(self) -> RobotState:
@@ -163,7 +176,7 @@ class FakeRobot(RobotDriver):
             dq=np.zeros(1),
             ee_pos=self.position.copy(),
             ee_quat=np.array([1.0, 0.0, 0.0, 0.0]),
-            ee_linvel=zero.copy(),
+            ee_linvel=self.moved / self.spec.control_period_s,
             ee_angvel=zero.copy(),
             fingers_pos=np.zeros(2),
             fingers_vel=np.zeros(2),

@@ -12,7 +12,9 @@ import pytest
 from drivers import (
     EndEffectorCommand,
     HandsNotClear,
+    InvalidCommand,
     InvalidRequest,
+    JointCommand,
     LifecycleError,
     ResetOutcome,
     ResetRequest,
@@ -207,3 +209,29 @@ def test_an_age_limit_that_limits_nothing_is_an_error(robot: FakeRobot, age_s: f
     robot.clock.advance_ns(100 * PERIOD_NS)
     with pytest.raises(InvalidRequest, match=r"max_age_s of read on fake is .*, allowed: 0 s"):
         robot.read(max_age_s=age_s)
+
+
+def test_a_refusal_says_what_was_too_old_and_what_is_allowed(robot: FakeRobot) -> None:
+    arm(robot)
+    command = EndEffectorCommand(robot.read().seq, np.zeros(3), np.zeros(2))
+    robot.clock.advance_ns(3 * PERIOD_NS)
+    message = robot.command(command).message
+    assert message == f"answers state {command.answers}, 0.120 s old, allowed: 0.1 s"
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (EndEffectorCommand(0, np.zeros(2), np.zeros(2)), r"delta_pos has shape \(2,\), .* \(3,\)"),
+        (EndEffectorCommand(0, np.array([0, np.nan, 0]), np.zeros(2)), "delta_pos is .*finite"),
+        (EndEffectorCommand(True, np.zeros(3), np.zeros(2)), "answers is True, .* int"),
+        (JointCommand(0, np.zeros(1), np.zeros(1), 0.04, np.zeros(2)), "allowed: ee_delta"),
+    ],
+    ids=["shape", "nan", "answers", "kind"],
+)
+def test_an_error_says_what_is_wrong_with_a_command(
+    robot: FakeRobot, command: EndEffectorCommand | JointCommand, message: str
+) -> None:
+    arm(robot)
+    with pytest.raises(InvalidCommand, match=message):
+        robot.command(command)

@@ -15,17 +15,19 @@ import sys
 import numpy as np
 from drivers import ResetRequest
 from drivers.mujoco import MujocoDriver
+from drivers.rendering import CannotRender
 
 driver = MujocoDriver("pick_and_place")
 driver.open()
 driver.reset(ResetRequest())
 try:
     driver.render(64, 48)
-except Exception:
+except CannotRender:
     sys.exit({NO_GRAPHICS})
 before = driver.snapshot()
 goal = np.array([1.4, 0.75, 0.7])
 plain, marked = driver.render(320, 240), driver.render(320, 240, goal)
+reached = driver.render(320, 240, goal, reached=True)
 after = driver.snapshot()
 assert plain.shape == (240, 320, 3) and plain.dtype == np.uint8
 assert plain.std() > 10.0, "an empty picture"
@@ -38,6 +40,11 @@ def red(picture):
 
 assert red(plain) == 0, "the goal's marker of the model file is nobody's goal"
 assert 5 < red(marked) < 500, red(marked)
+assert red(reached) == 0, "a goal that is reached is no longer red"
+changed = (reached != marked).any(axis=-1)
+assert 5 < changed.sum() < 500
+colour = reached[changed].astype(int).mean(axis=0)
+assert colour[1] > colour[0] + 60 and colour[1] > colour[2] + 60, colour
 driver.close()
 """
 

@@ -25,7 +25,7 @@ def test_the_built_in_driver_is_there_without_an_installation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bring(monkeypatch)
-    assert make_driver("mujoco", scene="reach").spec.name == "fetch-mujoco-mocap-reach"
+    assert make_driver("mujoco", scene="reach").spec.name == "fetch-mujoco-joint-reach"
 
 
 def test_a_driver_of_another_package_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,8 +37,8 @@ def test_a_driver_of_another_package_is_found(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_metadata_may_name_the_built_in_driver_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    bring(monkeypatch, ("mujoco", "drivers.mujoco:MujocoDriver"))
-    assert driver_targets() == {"mujoco": "drivers.mujoco:MujocoDriver"}
+    bring(monkeypatch, ("mujoco", "drivers.mujoco:make_fetch"))
+    assert driver_targets() == {"mujoco": "drivers.mujoco:make_fetch"}
 
 
 def test_two_packages_cannot_claim_one_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,181 @@
+"""What the joints may do in one tick: within every limit, and always with room to stop.
+
+Within a tick a joint's acceleration is constant: from ``(q0, dq0)`` it gets to ``(q1, dq1)``
+with ``q1 = q0 + (dq0 + dq1) / 2 * T``. So speed and acceleration at the ends of ticks bound
+them everywhere, and the one thing to choose in a tick is ``dq1``.
+
+Braking brings all joints to rest together, on a straight line in joint space, as fast as the
+slowest allows. A motion is allowed only if braking after it would stay within every limit;
+then braking is allowed in every tick, and is what a motion is cut back towards.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.command import JointCommand
+from drivers.kinematics import Kinematics
+from drivers.reasons import Clip
+from drivers.region import Region
+from drivers.spec import RobotSpec
+from drivers.state import JointSetpoint
+
+Array = NDArray[np.float64]
+
+
+_BISECTIONS = 7
+_PATH_POINTS = 4
+# Limits are met to this share of themselves, so that a motion at the limit is not cut again
+# in its next tick for the last bits.
+_ROUNDING = 1e-9
+
+
+class JointMotion:
+    """Cuts joint commands to what a robot's limits allow."""
+
+    def __init__(self, spec: RobotSpec) -> None:
+        """Set the limits up.
+
+        Args:
+            spec: The robot.
+
+        Raises:
+            InvalidSpec: If its kinematic model cannot be used.
+        """
+        joints = spec.limits.joints.values()
+        self._lower = np.array([joint.lower for joint in joints])
+        self._upper = np.array([joint.upper for joint in joints])
+        self._speed = np.array([joint.max_velocity for joint in joints])
+        self._acceleration = np.array([joint.max_acceleration for joint in joints])
+        self._ee_speed = spec.limits.max_ee_speed_m_s
+        self._gripper = spec.limits.gripper
+        self._region = Region(spec.limits)
+        self._period_s = spec.control_period_s
+        self._kinematics = Kinematics(spec)
+
+    def limit(
+        self, command: JointCommand, start: JointSetpoint, speed_scale: float
+    ) -> tuple[JointCommand, tuple[Clip, ...]]:
+        """Cut a command to what is allowed in the next tick.
+
+        Args:
+            command: What was asked.
+            start: What the motors follow now.
+            speed_scale: Share of full speed that is allowed, in (0, 1].
+
+        Returns:
+            The motion of the next tick: its end, and the velocity there; and why it is not the
+            one asked for.
+        """
+        reasons: list[Clip] = []
+        asked = self._asked_velocity(command, start)
+        dq = self._within_speeds(asked, start.q, speed_scale, reasons)
+        dq = self._reachable(dq, start, speed_scale, reasons)
+        fingers = self._fingers(command.finger_target, start.fingers, speed_scale, reasons)
+        q = self._end(start, dq)
+        return JointCommand(command.answers, q, dq, self._period_s, fingers), tuple(reasons)
+
+    def brake(self, start: JointSetpoint) -> JointSetpoint:
+        """Return the end of a tick that takes the robot towards rest; at rest it stays there.
+
+        Args:
+            start: What the motors follow now.
+        """
+        dq = self._braked(start.dq)
+        return JointSetpoint(self._end(start, dq), dq, start.fingers.copy())
+
+    def _asked_velocity(self, command: JointCommand, start: JointSetpoint) -> Array:
+        # Ends where a command with a matching dq says, to the bit of rounding; a target that
+        # is repeated with dq = 0 is reached, at rest, in two ticks.
+        duration_s = max(command.duration_s, self._period_s)
+        at_end = (command.q_target - start.q) / duration_s + (command.dq - start.dq) / 2.0
+        velocity: Array = start.dq + (at_end - start.dq) * (self._period_s / duration_s)
+        return velocity
+
+    def _within_speeds(self, dq: Array, q: Array, scale: float, reasons: list[Clip]) -> Array:
+        """Slow the whole motion down, never joint by joint: that would bend its path."""
+        excess = float((np.abs(dq) / (self._speed * scale)).max())
+        if excess > 1.0 + _ROUNDING:
+            reasons.append(Clip.JOINT_SPEED)
+            dq = dq / excess
+        speed = float(np.linalg.norm(self._kinematics.ee_jacobian(q) @ dq))
+        if speed > self._ee_speed * scale * (1.0 + _ROUNDING):
+            reasons.append(Clip.EE_SPEED)
+            dq = dq * (self._ee_speed * scale / speed)
+        return dq
+
+    def _reachable(
+        self, dq: Array, start: JointSetpoint, scale: float, reasons: list[Clip]
+    ) -> Array:
+        """Cut a velocity back until it can be reached, and towards braking until it is safe."""
+        change = dq - start.dq
+        excess = float((np.abs(change) / (self._acceleration * self._period_s)).max())
+        if excess > 1.0 + _ROUNDING:
+            reasons.append(Clip.JOINT_ACCELERATION)
+            dq = start.dq + change / excess
+        allowed = np.maximum(0.0, list(self._depths(start.q).values()))
+        broken = self._broken(dq, start, allowed, scale)
+        if not broken:
+            return dq
+        reasons.extend(reason for reason in broken if reason not in reasons)
+        braked = self._braked(start.dq)
+        low, high = 0.0, 1.0
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2.0
+            if self._broken(braked + middle * (dq - braked), start, allowed, scale):
+                high = middle
+            else:
+                low = middle
+        return braked + low * (dq - braked)
+
+    def _broken(
+        self, dq: Array, start: JointSetpoint, allowed: Array, scale: float
+    ) -> tuple[Clip, ...]:
+        """Name the limits that a tick ending at `dq`, and braking after it, would break."""
+        q = self._end(start, dq)
+        rest = q + dq * self._braking_ticks(dq) * self._period_s / 2.0
+        broken: list[Clip] = []
+        # Outside already: not further out, so that the way back is open.
+        lower, upper = np.minimum(self._lower, start.q), np.maximum(self._upper, start.q)
+        if (np.minimum(q, rest) < lower).any() or (np.maximum(q, rest) > upper).any():
+            broken.append(Clip.JOINT_RANGE)
+        speed = float(np.linalg.norm(self._kinematics.ee_jacobian(q) @ dq))
+        if speed > self._ee_speed * scale * (1.0 + _ROUNDING):
+            broken.append(Clip.EE_SPEED)
+        for share in np.linspace(0.0, 1.0, _PATH_POINTS):
+            depths = self._depths(q + share * (rest - q))
+            exceeded = zip(depths.items(), allowed, strict=True)
+            broken.extend(name for (name, depth), most in exceeded if depth > most + _ROUNDING)
+        return tuple(dict.fromkeys(broken))
+
+    def _depths(self, q: Array) -> dict[Clip, float]:
+        points = self._kinematics.guarded_points(q)
+        return self._region.depths(points, self._kinematics.guard_radii)
+
+    def _braking_ticks(self, dq: Array) -> int:
+        # The last bits of a motion that just fits must not cost a tick more.
+        ticks = float((np.abs(dq) / (self._acceleration * self._period_s)).max())
+        return math.ceil(ticks * (1.0 - _ROUNDING) - _ROUNDING)
+
+    def _braked(self, dq: Array) -> Array:
+        ticks = self._braking_ticks(dq)
+        return dq * (1.0 - 1.0 / ticks) if ticks > 1 else np.zeros_like(dq)
+
+    def _end(self, start: JointSetpoint, dq: Array) -> Array:
+        q: Array = start.q + (start.dq + dq) / 2.0 * self._period_s
+        return q
+
+    def _fingers(self, target: Array, now: Array, scale: float, reasons: list[Clip]) -> Array:
+        limits = self._gripper
+        within = np.clip(target, limits.lower_m, limits.upper_m)
+        if (within != target).any():
+            reasons.append(Clip.FINGER_RANGE)
+        step = limits.max_speed_m_s * scale * self._period_s
+        change = np.clip(within - now, -step, step)
+        if (np.abs(within - now) > step * (1.0 + _ROUNDING)).any():
+            reasons.append(Clip.FINGER_SPEED)
+        fingers: Array = now + change
+        return fingers

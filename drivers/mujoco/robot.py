@@ -1,0 +1,111 @@
+"""What may differ from one simulated Fetch robot to another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.errors import InvalidSpec
+from drivers.names import unknown
+
+Actuation = Literal["joint", "mocap"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class ArmParameters(_Section):
+    """Motors of torso and arm; joint actuation only."""
+
+    kp: float = Field(default=1e5, gt=0)
+    """Stiffness of the position control, Nm/rad and N/m."""
+    damping_ratio: float = Field(default=1.0, gt=0, le=10)
+    """Damping of the position control; 1 is critical."""
+    joint_damping: float = Field(default=50.0, ge=0)
+    """Viscous friction of each arm joint, Nm s/rad."""
+    acceleration_scale: float = Field(default=1.0, gt=0, le=1)
+    """Share of the accelerations in the robot's description that is allowed."""
+    delay_ticks: int = Field(default=0, ge=0, le=10)
+    """Control ticks from a setpoint to the motors' following it."""
+
+
+class GripperParameters(_Section):
+    """Motors of the fingers; joint actuation only."""
+
+    kp: float = Field(default=3e4, gt=0)
+    """Stiffness of the position control, N/m."""
+    max_force_n: float = Field(default=60.0, gt=0)
+    """Greatest force of a finger."""
+
+
+class ObjectParameters(_Section):
+    """The object on the table."""
+
+    mass_scale: float = Field(default=1.0, gt=0, le=100)
+    """Its mass, as a multiple of the scene's."""
+    friction_scale: float = Field(default=1.0, gt=0, le=100)
+    """Sliding friction of object and table, as a multiple of the scene's."""
+
+
+class SensorParameters(_Section):
+    """What is measured how well. Noise is normal, independent in each tick and axis."""
+
+    joint_noise: float = Field(default=0.0, ge=0)
+    """Standard deviation of joint positions, rad and m."""
+    joint_velocity_noise: float = Field(default=0.0, ge=0)
+    """Standard deviation of joint velocities, rad/s and m/s."""
+    object_noise_m: float = Field(default=0.0, ge=0)
+    """Standard deviation of the object's position."""
+    object_turn_noise: float = Field(default=0.0, ge=0)
+    """Standard deviation of the object's orientation about each axis, rad."""
+    object_rate_hz: float | None = Field(default=None, gt=0)
+    """Pictures a second of the camera that sees the object; none for one in each tick."""
+    object_delay_s: float = Field(default=0.0, ge=0, le=1)
+    """Time from a picture to the pose seen in it."""
+
+
+class FetchRobot(_Section):
+    """One simulated Fetch robot: everything that a file in ``configs/robots`` may say."""
+
+    actuation: Actuation = "joint"
+    """Position-controlled joints, or a mocap body that drags the gripper along."""
+    arm: ArmParameters = ArmParameters()
+    gripper: GripperParameters = GripperParameters()
+    object: ObjectParameters = ObjectParameters()
+    sensors: SensorParameters = SensorParameters()
+
+
+def fetch_robot(options: Mapping[str, object]) -> FetchRobot:
+    """Read the parameters of a robot.
+
+    Args:
+        options: As in a file of ``configs/robots``; what is left out has its default.
+
+    Raises:
+        InvalidSpec: If a key is unknown or a value not allowed.
+    """
+    try:
+        return FetchRobot.model_validate(options)
+    except ValidationError as error:
+        sentences = [
+            _sentence(
+                tuple(map(str, detail["loc"])), detail["type"], detail["msg"], detail["input"]
+            )
+            for detail in error.errors(include_url=False)
+        ]
+        raise InvalidSpec("; ".join(sentences)) from None
+
+
+def _sentence(path: tuple[str, ...], kind: str, reason: str, value: object) -> str:
+    key = ".".join(path)
+    if kind == "extra_forbidden":
+        section = FetchRobot.model_fields[path[0]].annotation if len(path) > 1 else FetchRobot
+        assert isinstance(section, type)
+        assert issubclass(section, BaseModel)
+        return unknown("robot setting", path[-1], section.model_fields)
+    return f"robot setting {key} is {value!r}: {reason[0].lower()}{reason[1:]}"
