@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -20,8 +22,8 @@ from drivers import (
     StaleState,
     make_driver,
 )
-from iher_robot.controller import Controller, EndEffectorController
-from iher_robot.errors import UserError
+from iher_robot.controller import Controller, make_controller
+from iher_robot.errors import NoSolution, UserError
 from iher_robot.tick import Tick, judge_tick
 from tasks import GoalTask, make_task
 
@@ -55,7 +57,8 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
     - ``tick_valid``: Whether the tick may be learned from. A tick that was held, dropped or
       late is charged to the budget (``ticks``) and may not.
     - ``clipped``: Why the robot clipped the command.
-    - ``refusal``: Why the command was refused, or None.
+    - ``refusal``: Why the command was refused, ``"no_solution"`` where the controller found
+      none, or None.
 
     A stop from outside, or more invalid ticks than allowed, ends the episode with
     `EpisodeAborted`.
@@ -90,7 +93,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self.driver = driver
         self.task = task.bind(driver.spec)
         self.controller: Controller = (
-            EndEffectorController(task.blocks_gripper) if controller is None else controller
+            make_controller(driver.spec, task.blocks_gripper) if controller is None else controller
         )
         self._require_command_kind()
         if render_mode is not None and not isinstance(driver, Renderable):
@@ -108,6 +111,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self._goal = np.zeros(self.task.goal_dim)
         self._state: RobotState | None = None
         self._invalid_ticks = 0
+        self._held_because = ""
 
     @property
     def robot_spec(self) -> RobotSpec:
@@ -197,12 +201,15 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         }
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene with the goal, None without a render mode."""
+        """Return a picture with the goal, which turns green once reached; None without a mode."""
         if self.render_mode is None:
             return None
         assert isinstance(self.driver, Renderable)
-        width, height = _PICTURE_SIZE
-        return self.driver.render(width, height, self._goal)
+        reached = False
+        if self._state is not None:
+            achieved = self.task.goal_model.achieved_goal(self.task.observation(self._state))
+            reached = self.task.is_success(achieved, self._goal)
+        return self.driver.render(*_PICTURE_SIZE, goal=self._goal, reached=reached)
 
     def hold(self) -> None:
         """Hold and disarm, until the next `reset`."""
@@ -227,6 +234,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self.hold()
         self._bring_to_start()
         self._invalid_ticks = 0
+        self._held_because = ""
         self.driver.arm()
         self._state = self.driver.read()
         observation = self.task.observation(self._state)
@@ -243,16 +251,21 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             )
         assert isinstance(self.action_space, spaces.Box)
         requested = np.clip(action, self.action_space.low, self.action_space.high)
-        command = self.controller.command(requested, before, self.robot_spec)
-        acceptance = self.driver.command(command)
+        acceptance = None
+        try:
+            acceptance = self.driver.command(self.controller.command(requested, before))
+        except NoSolution as error:
+            self._held_because = str(error)  # a tick without a command: the robot holds
         self.driver.advance()
         after = self._read_or_keep(before)
         self._state = after
-        tick = judge_tick(requested, before, after, acceptance, self.controller, self.robot_spec)
-        return after, tick
+        return after, judge_tick(requested, before, after, acceptance, self.controller)
 
     def _bring_to_start(self) -> None:
         request = self.task.reset_request(self.np_random)
+        # From a copy: the draws of starts and goals stay those of the reference.
+        noise_seed = int(copy.deepcopy(self.np_random).integers(2**32))
+        request = dataclasses.replace(request, seed=noise_seed)
         result = self.driver.reset(request)
         while result.outcome is ResetOutcome.NEEDS_HUMAN and self._ask_human is not None:
             self._ask_human(result.message)
@@ -278,13 +291,13 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
 
     def _abort_if_lost(self, tick: Tick) -> None:
         self._invalid_ticks += not tick.valid
-        refusal = tick.acceptance.refusal
-        if refusal in _GATE_CLOSED:
+        if tick.acceptance is not None and tick.acceptance.refusal in _GATE_CLOSED:
             reason = tick.acceptance.message
         elif not self.driver.is_armed:
             reason = "the robot was disarmed during the tick"
         elif self._invalid_ticks > self._max_invalid_ticks:
             reason = f"{self._invalid_ticks} invalid ticks, allowed: {self._max_invalid_ticks}"
+            reason += "; " * bool(self._held_because) + self._held_because
         else:
             return
         raise EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {reason}")

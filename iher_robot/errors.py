@@ -26,3 +26,7 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str]) -> UserError:
         The error, ready to raise.
     """
     return UserError(unknown(kind, name, allowed))
+
+
+class NoSolution(RuntimeError):
+    """A controller knows no motion for an action; the robot holds for this tick."""

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import Acceptance, RobotSpec, RobotState
+from drivers import Acceptance, RobotState
 from iher_robot.controller import Controller
+
+NO_SOLUTION = "no_solution"
+"""What is reported as refusal where the controller found no command to send."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,24 +25,23 @@ class Tick:
             force in this very tick, and no tick is missing in between.
         elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
         clipped: Why the robot clipped the command.
-        acceptance: What the robot said to the command.
+        acceptance: What the robot said to the command, None if there was no command.
     """
 
     action_applied: NDArray[np.float32]
     valid: bool
     elapsed: int
     clipped: tuple[str, ...]
-    acceptance: Acceptance
+    acceptance: Acceptance | None
 
     def info(self) -> dict[str, object]:
         """Return what an environment reports of it."""
-        refusal = self.acceptance.refusal
         return {
             "action_applied": self.action_applied,
             "tick_valid": self.valid,
             "ticks": self.elapsed,
             "clipped": self.clipped,
-            "refusal": None if refusal is None else refusal.value,
+            "refusal": NO_SOLUTION if self.acceptance is None else self.acceptance.refusal,
         }
 
 
@@ -47,9 +49,8 @@ def judge_tick(
     requested: NDArray[np.floating],
     before: RobotState,
     after: RobotState,
-    acceptance: Acceptance,
+    acceptance: Acceptance | None,
     controller: Controller,
-    spec: RobotSpec,
 ) -> Tick:
     """Compare what was asked with what the robot says it did.
 
@@ -57,17 +58,14 @@ def judge_tick(
         requested: The action, in [-1, 1]. ``(action_dim,)``
         before: The state that the command answered.
         after: The state at the end of the tick; the same as before if none came.
-        acceptance: What the robot said to the command.
+        acceptance: What the robot said to the command, None if there was no command.
         controller: Made the command.
-        spec: The robot.
     """
     elapsed = after.seq - before.seq
     applied = after.applied
     action = np.asarray(requested, dtype=np.float32)
     if applied is None or applied.tick != after.seq or elapsed < 1:
         return Tick(np.zeros_like(action), False, max(1, elapsed), (), acceptance)
-    if applied.clipped:
-        # Only then: a round trip through metres would cost the last bits of the action.
-        action = controller.applied_action(applied, spec)
+    action = controller.applied_action(action, applied, before)
     valid = elapsed == 1 and applied.command.answers == before.seq
     return Tick(action, valid, elapsed, applied.clipped, acceptance)

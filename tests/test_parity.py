@@ -33,7 +33,7 @@ Observation = dict[str, np.ndarray]
 @pytest.fixture(scope="module", params=list(OFFICIAL))
 def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
     official = gym.make(OFFICIAL[request.param])
-    with make_env(request.param) as ours:
+    with make_env(request.param, actuation="mocap") as ours:
         yield official, ours
     official.close()
 
