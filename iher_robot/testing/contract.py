@@ -1,0 +1,28 @@
+"""The whole contract, as one class of tests."""
+
+from __future__ import annotations
+
+from iher_robot.testing.commands import CommandTests
+from iher_robot.testing.excess import ExcessTests
+from iher_robot.testing.lifecycle import LifecycleTests
+from iher_robot.testing.resets import ResetTests
+from iher_robot.testing.states import StateTests
+from iher_robot.testing.stopping import StopTests
+from iher_robot.testing.ticks import TickTests
+
+
+class DriverContract(
+    LifecycleTests, StopTests, TickTests, StateTests, CommandTests, ExcessTests, ResetTests
+):
+    """Tests that every driver passes unchanged.
+
+    A subclass among a driver's tests says how to make the driver, and may declare what is
+    different about it (`real_time`, `several`, tolerances)::
+
+        class TestMyRobot(DriverContract):
+            def make_driver(self) -> RobotDriver:
+                return MyRobot()
+
+    Tests that send commands run once for each kind that the driver's spec declares. The suite
+    moves the robot, at full speed and far: clear the workspace of a real one.
+    """

@@ -1,0 +1,17 @@
+"""The simulated Fetch robot, in both actuations."""
+
+from __future__ import annotations
+
+from drivers import RobotDriver
+from drivers.mujoco import FetchRobot, MujocoDriver
+from iher_robot.testing import DriverContract
+
+
+class TestFetchDraggedByAMocapBody(DriverContract):
+    def make_driver(self) -> RobotDriver:
+        return MujocoDriver("push", FetchRobot(actuation="mocap"))
+
+
+class TestFetchMovedByItsJoints(DriverContract):
+    def make_driver(self) -> RobotDriver:
+        return MujocoDriver("push", FetchRobot(actuation="joint"))
