@@ -11,22 +11,28 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from iher_robot.chosen_robot import ChosenRobot, choose_robot
 from iher_robot.config_keys import Keys
 from iher_robot.config_source import (
     Layer,
     algorithm_layer,
-    format_yaml,
-    is_preset_file,
+    is_yaml_file,
     option_layer,
     override_layer,
-    parse_mapping,
     preset_layer,
 )
 from iher_robot.durable_file import read_file
 from iher_robot.errors import UserError
 from iher_robot.learning.config import LearnerConfig
+from iher_robot.yaml_text import format_yaml, parse_mapping
 
-_CHOSEN = {"task": "--task", "preset": "--preset", "algo": "--algo"}
+_CHOSEN = {
+    "task": "--task",
+    "preset": "--preset",
+    "algo": "--algo",
+    "robot": "--robot",
+    "robot_options": "--robot",
+}
 
 
 class _Section(BaseModel):
@@ -49,6 +55,10 @@ class RunConfig(_Section):
     """What is learned."""
     driver: str = "mujoco"
     """What moves."""
+    robot: str = ""
+    """Whose options the driver was given: a name, or the path of a file."""
+    robot_options: dict[str, Any] = {}
+    """These options, as they were read when the run began."""
     preset: str = "default"
     """Where the settings came from."""
     algo: str = "iher"
@@ -72,6 +82,11 @@ class RunConfig(_Section):
     def _off_is_none(cls, value: object) -> object:
         return None if isinstance(value, str) and value.lower() == "off" else value
 
+    @property
+    def chosen_robot(self) -> ChosenRobot:
+        """The robot of the run."""
+        return ChosenRobot(self.driver, self.robot, self.robot_options)
+
 
 _KEYS = Keys(RunConfig)
 
@@ -82,6 +97,7 @@ def load_config(
     algo: str,
     overrides: Sequence[str],
     options: Mapping[str, object] = MappingProxyType({}),
+    robot: str | None = None,
 ) -> RunConfig:
     """Resolve the settings of a new run; later layers win.
 
@@ -92,6 +108,8 @@ def load_config(
         overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
         options: Settings that have an option of their own, which errors name: budget_minutes,
             seed, device, until_success, driver.
+        robot: Name of a shipped robot, or the path of a YAML file; the driver's default where
+            None.
 
     Returns:
         Typed defaults, then the preset's file for the task, the algorithm's, the options and the
@@ -111,7 +129,10 @@ def load_config(
             if key in layer.values:
                 raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
     chosen = Layer("command line", {"task": task, "preset": preset, "algo": algo})
-    return _resolve([*layers, chosen])
+    # Any layer may name the driver, and the driver says which robot is the default.
+    chosen_robot = choose_robot(_resolve([*layers, chosen]).driver, robot)
+    settings = {"robot": chosen_robot.name, "robot_options": chosen_robot.options}
+    return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
 
 
 def dump_config(config: RunConfig) -> str:
@@ -135,7 +156,7 @@ def read_config(path: Path) -> RunConfig:
     config = _resolve([layer])
     try:
         algorithm_layer(config.algo)
-        if not is_preset_file(config.preset):  # one's own may be gone; its values are all here
+        if not is_yaml_file(config.preset):  # one's own may be gone; its values are all here
             preset_layer(config.preset, config.task)
     except UserError as error:
         raise UserError(f"{path}: {error}") from error

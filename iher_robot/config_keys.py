@@ -180,6 +180,8 @@ def _describe_type(annotation: Any) -> str:
         return " or ".join(map(_describe_type, ordered))
     if origin is typing.Annotated:
         return _describe_type(arguments[0])
+    if origin is dict:
+        return "keys with text, finite numbers, true, false or lists of them"
     if origin in (tuple, list):
         element = _describe_type(arguments[0]).removeprefix("an ").removeprefix("a ")
         return f"a list, each {element}"

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import importlib.resources
 import os
-import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from iher_robot.durable_file import read_file
 from iher_robot.errors import UserError, unknown_name
+from iher_robot.yaml_text import parse_mapping, parse_value
 
 _SUFFIX = ".yaml"
+_USERS_KINDS = ("preset", "robot")  # of these a user may have a file of their own
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,11 @@ def preset_layer(preset: str, task: str) -> Layer:
     Raises:
         UserError: No such preset, none for this task, or a file that is not valid YAML.
     """
-    if is_preset_file(preset):
-        return Layer(preset, parse_mapping(read_file(Path(preset), "preset file"), preset))
+    if is_yaml_file(preset):
+        return _own_file("preset", preset)
     folders = {entry.name: entry for entry in _entries("presets") if entry.is_dir()}
-    if os.sep in preset:
-        raise UserError(
-            f"unknown preset {preset!r}: a path must be that of a YAML file, ending in .yaml or "
-            f".yml; the presets with a name are: {', '.join(sorted(folders))}"
-        )
     if preset not in folders:
-        raise unknown_name("preset", preset, folders)
+        raise _unknown("preset", preset, folders)
     files = {entry.name: entry for entry in folders[preset].iterdir()}
     name = task + _SUFFIX
     if name not in files:
@@ -65,9 +60,9 @@ def preset_layer(preset: str, task: str) -> Layer:
     return Layer(origin, parse_mapping(files[name].read_bytes(), origin))
 
 
-def is_preset_file(preset: str) -> bool:
-    """Whether a preset is the path of a user's own file."""
-    return Path(preset).suffix in (".yaml", ".yml")
+def is_yaml_file(name: str) -> bool:
+    """Whether a name is the path of a user's own file."""
+    return Path(name).suffix in (".yaml", ".yml")
 
 
 def algorithm_layer(algo: str) -> Layer:
@@ -76,15 +71,19 @@ def algorithm_layer(algo: str) -> Layer:
     Raises:
         UserError: No such algorithm, or a file that is not valid YAML.
     """
-    files = {
-        entry.name.removesuffix(_SUFFIX): entry
-        for entry in _entries("algorithms")
-        if entry.name.endswith(_SUFFIX)
-    }
-    if algo not in files:
-        raise unknown_name("algorithm", algo, files)
-    origin = f"configs/algorithms/{algo}{_SUFFIX}"
-    return Layer(origin, parse_mapping(files[algo].read_bytes(), origin))
+    return _shipped_file("algorithm", algo)
+
+
+def robot_layer(robot: str) -> Layer:
+    """Read ``robots/<robot>.yaml``, or a user's own file.
+
+    Args:
+        robot: Name of a shipped robot, or a path that ends in .yaml or .yml.
+
+    Raises:
+        UserError: No such robot, or a file that is not valid YAML.
+    """
+    return _own_file("robot", robot) if is_yaml_file(robot) else _shipped_file("robot", robot)
 
 
 def override_layer(override: str) -> Layer:
@@ -98,7 +97,7 @@ def override_layer(override: str) -> Layer:
     origin = f"--set {textwrap.shorten(override, 80)}"
     if not equals or not all(parts):
         raise UserError(f"{origin}: expected key=value, such as learner.ddpg.gamma=0.95")
-    value = _parse(text.encode(), origin)
+    value = parse_value(text.encode(), origin)
     for part in reversed(parts):
         value = {part: value}
     return Layer(origin, value)
@@ -115,24 +114,31 @@ def option_layer(key: str, value: object) -> Layer:
     return Layer("--" + key.replace("_", "-"), {key: plain}, option=True)
 
 
-def parse_mapping(text: bytes, origin: str) -> Mapping[Any, Any]:
-    """Parse YAML whose top level is a mapping; an empty file is an empty mapping.
-
-    Raises:
-        UserError: It is not, or not valid YAML.
-    """
-    value = _parse(text, origin)
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
-        raise UserError(f"{origin}: expected lines of 'key: value', not {type(value).__name__}")
-    return value
+def _own_file(kind: str, path: str) -> Layer:
+    return Layer(path, parse_mapping(read_file(Path(path), f"{kind} file"), path))
 
 
-def format_yaml(values: Mapping[str, Any]) -> str:
-    """Write settings so that parsing them gives the same values back."""
-    # In ASCII: PyYAML does not quote every Unicode line break.
-    return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=False)
+def _shipped_file(kind: str, name: str) -> Layer:
+    """Read a file of a folder that is named after its kind."""
+    folder = f"{kind}s"
+    files = {
+        entry.name.removesuffix(_SUFFIX): entry
+        for entry in _entries(folder)
+        if entry.name.endswith(_SUFFIX)
+    }
+    if name not in files:
+        raise _unknown(kind, name, files)
+    origin = f"configs/{folder}/{name}{_SUFFIX}"
+    return Layer(origin, parse_mapping(files[name].read_bytes(), origin))
+
+
+def _unknown(kind: str, name: str, shipped: Iterable[str]) -> UserError:
+    if os.sep in name and kind in _USERS_KINDS:
+        return UserError(
+            f"unknown {kind} {name!r}: a path must be that of a YAML file, ending in .yaml or "
+            f".yml; the {kind}s with a name are: {', '.join(sorted(shipped))}"
+        )
+    return unknown_name(kind, name, shipped)
 
 
 def _entries(folder: str) -> list[Traversable]:
@@ -141,67 +147,3 @@ def _entries(folder: str) -> list[Traversable]:
 
 def _configs_root() -> Traversable:
     return importlib.resources.files("iher_robot").joinpath("configs")
-
-
-def _parse(text: bytes, origin: str) -> Any:
-    try:
-        return yaml.load(text.decode(), Loader=_Loader)  # noqa: S506 (a SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f" in line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise UserError(f"{origin} is not valid YAML: {error.problem}{place}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{origin} is not valid YAML: {reason}") from error
-    except RecursionError:
-        raise UserError(f"{origin} is not valid YAML: nested too deeply") from None
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain YAML 1.2 scalars, no key twice, no aliases.
-
-    YAML 1.1 would read ``off`` as false, ``1e-3`` as text, ``1:30`` as 90 and ``010`` as 8.
-    Aliases could make a short file endless.
-    """
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse aliases."""
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.composer.ComposerError(None, None, "aliases are not allowed", mark)
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Refuse what SafeLoader silently overwrites."""
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.value in seen:
-                problem = f"key {key.value!r} twice, or no text"
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Quotes exactly what ``_Loader`` would not read as text."""
-
-    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 (PyYAML's signature)
-        """Write equal values out each time."""
-        return True
-
-
-_SCALARS = {
-    "null": (r"~|null|", ["~", "n", ""]),
-    "bool": (r"true|false", ["t", "f"]),
-    "int": (r"[-+]?(?:0|[1-9][0-9_]*)", list("-+0123456789")),
-    "float": (
-        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan",
-        list("-+.0123456789"),
-    ),
-}
-for _class in (_Loader, _Dumper):
-    _class.yaml_implicit_resolvers = {}
-    for _tag, (_pattern, _first) in _SCALARS.items():
-        _class.add_implicit_resolver(
-            f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_pattern})$"), _first
-        )

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import torch
 from scipy.stats import binomtest
 
 from iher_robot.callable_module import make_module_callable
+from iher_robot.chosen_robot import DEFAULT_DRIVER, ChosenRobot, choose_robot
 from iher_robot.collect import Stream, choose_action, episode_seed
-from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.env import EpisodeAborted
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import REAL
-from iher_robot.learning.policy import Policy
-from iher_robot.policy_file import PolicyFile, check_task, load_policy
-from iher_robot.video import film
-from tasks import GoalTask, make_task
+from iher_robot.policy_fit import Actor, check_fit, load_actor
+from iher_robot.video import Film, film
 
 FILMED_EPISODES = 10
 """Episodes of an evaluation that a film shows, the first ones."""
@@ -34,7 +31,7 @@ _OFFICIAL = {
 }
 
 AnyEnv = gym.Env[Any, Any]
-Picture = Callable[[AnyEnv], None]
+_OFFICIAL_ROBOT = (DEFAULT_DRIVER, "fetch-mocap")
 
 
 @dataclass(frozen=True)
@@ -84,9 +81,11 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     official: bool = False,
-    driver: str = "mujoco",
+    driver: str = DEFAULT_DRIVER,
+    robot: str | None = None,
     task: str | None = None,
     video: Path | None = None,
+    accept_interface: bool = False,
 ) -> EvaluationResult:
     """Run a policy without noise over fresh episodes; success counts at the last step.
 
@@ -96,8 +95,11 @@ def evaluate(
         seed: Decides starts and goals, apart from those of any training run.
         official: Run in gymnasium-robotics' own environment instead of on a driver.
         driver: Name of the robot driver.
+        robot: Name of a robot, or the path of a YAML file; the driver's default where None.
         task: The task that the policy is expected to be for; any where None.
         video: File to film the first episodes to.
+        accept_interface: Run a policy that was trained for another interface all the same, on
+            a simulated robot.
 
     Returns:
         What the policy did.
@@ -109,90 +111,86 @@ def evaluate(
         raise UserError(f"episodes is {episodes}, allowed: 1 or more")
     if seed < 0:
         raise UserError(f"seed is {seed}, allowed: 0 or more")
-    if official and driver != "mujoco":
+    if official and (driver != DEFAULT_DRIVER or robot is not None):
+        named = f"driver is {driver!r}" if robot is None else f"robot is {robot!r}"
         raise UserError(
-            f"driver is {driver!r}, but the official environment is gymnasium-robotics' own "
-            "simulation; leave out --driver or --official"
+            f"{named}, but the official environment is gymnasium-robotics' own simulation; leave "
+            "out --driver and --robot, or --official"
         )
-    loaded = load_policy(policy)
-    asked = make_task(loaded.task if task is None else task)
-    check_task(loaded, asked.name, asked.layout.digest())
-    actor = _actor(loaded, policy, asked)
-    render_mode = None if video is None else "rgb_array"
+    actor = load_actor(policy, task)
+    if official:
+        return _evaluate_officially(actor, episodes=episodes, seed=seed, video=video)
+    return evaluate_on(
+        choose_robot(driver, robot),
+        actor,
+        episodes=episodes,
+        seed=seed,
+        video=video,
+        accept_interface=accept_interface,
+    )
+
+
+def evaluate_on(
+    robot: ChosenRobot,
+    actor: Actor,
+    *,
+    episodes: int,
+    seed: int,
+    video: Path | None = None,
+    accept_interface: bool = False,
+) -> EvaluationResult:
+    """Run a policy on a robot; see ``evaluate``.
+
+    Args:
+        robot: The robot.
+        actor: The policy.
+        episodes: How many episodes.
+        seed: Decides starts and goals, apart from those of any training run.
+        video: File to film the first episodes to.
+        accept_interface: Run it on another interface all the same, on a simulated robot.
+
+    Returns:
+        What the policy did.
+
+    Raises:
+        UserError: A robot that the policy does not fit, or a film that cannot be made.
+    """
     with ExitStack() as stack:
-        picture = None if video is None else stack.enter_context(film(video))
-        differing: tuple[str, ...] = ()
-        env: AnyEnv
-        if official:
-            name = _OFFICIAL[loaded.task]
-            env = stack.enter_context(closing(_official_env(name, render_mode)))
-        else:
-            name = driver
-            robot = stack.enter_context(make_env(loaded.task, driver, render_mode=render_mode))
-            differing = _warnings(loaded, robot)
-            env = robot
-        if env.action_space.shape != (actor.shapes.action_dim,):
-            raise UserError(
-                f"{policy} holds a policy of {actor.shapes.action_dim} action values, the robot "
-                f"takes {env.action_space.shape}; train it again"
-            )
-        successes = 0
-        for index in range(episodes):
-            filmed = picture if index < FILMED_EPISODES else None
-            successes += _episode(
-                env,
-                actor,
-                seed=episode_seed(seed, Stream.FINAL_EVALUATION, index),
-                ticks=asked.episode_ticks,
-                picture=filmed,
-            )
-    return EvaluationResult(loaded.task, name, successes, episodes, differing, video)
+        shots = None if video is None else stack.enter_context(film(video))
+        env = stack.enter_context(robot.make_env(actor.task.name, _render_mode(video)))
+        warnings = check_fit(actor, env, accept_interface=accept_interface)
+        successes = _successes(env, actor, episodes, seed, shots)
+    return EvaluationResult(actor.task.name, robot.title, successes, episodes, warnings, video)
 
 
-def _actor(loaded: PolicyFile, path: Path, task: GoalTask) -> Policy:
-    """Build the networks of a file whose seal says nothing of what its writer put in."""
-    try:
-        actor = Policy.from_snapshot(loaded.policy, device=torch.device("cpu"))
-        observation = torch.zeros(1, task.layout.obs_dim)
-        goal = torch.zeros(1, task.goal_dim)
-        action = actor.act(observation, goal, torch.tensor([REAL]))
-    except (
-        ArithmeticError,
-        AttributeError,
-        KeyError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-    ) as error:
-        named = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-        reason = " ".join(named.split())
-        raise UserError(f"{path} holds no policy that can act: {reason}; train it again") from error
-    if not torch.isfinite(action).all():
-        raise UserError(f"{path} holds no policy that can act: its actions are not finite")
-    return actor
+def _evaluate_officially(
+    actor: Actor, *, episodes: int, seed: int, video: Path | None
+) -> EvaluationResult:
+    name = _OFFICIAL[actor.task.name]
+    # The official environment has no specification of its own; this robot is its equal.
+    with choose_robot(*_OFFICIAL_ROBOT).make_env(actor.task.name) as equal:
+        warnings = check_fit(actor, equal, accept_interface=True)
+    with ExitStack() as stack:
+        shots = None if video is None else stack.enter_context(film(video))
+        env = stack.enter_context(closing(_official_env(name, _render_mode(video))))
+        successes = _successes(env, actor, episodes, seed, shots)
+    return EvaluationResult(actor.task.name, name, successes, episodes, warnings, video)
 
 
-def _warnings(policy: PolicyFile, env: GoalRobotEnv) -> tuple[str, ...]:
-    """Refuse another interface; name what differs between the bodies."""
-    spec = env.driver.spec
-    if policy.interface_digest != spec.interface_digest:
-        raise UserError(
-            f"the policy was trained for another interface than {spec.name} has, it differs in "
-            f"{_changed(policy.spec, spec.interface())}; train one on this driver"
+def _render_mode(video: Path | None) -> str | None:
+    return None if video is None else "rgb_array"
+
+
+def _successes(env: AnyEnv, actor: Actor, episodes: int, seed: int, shots: Film | None) -> int:
+    return sum(
+        _episode(
+            env,
+            actor,
+            seed=episode_seed(seed, Stream.FINAL_EVALUATION, index),
+            shots=shots if index < FILMED_EPISODES else None,
         )
-    found = []
-    if policy.body_digest != spec.body_digest:
-        changed = _changed(policy.spec, spec.body())
-        found.append(f"the policy was trained on another body, it differs in {changed}")
-    if policy.controller != dict(env.controller.settings):
-        changed = _changed(policy.controller, env.controller.settings)
-        found.append(f"the policy was trained with another controller, it differs in {changed}")
-    return tuple(found)
-
-
-def _changed(saved: Mapping[str, object], present: Mapping[str, object]) -> str:
-    names = [name for name, value in present.items() if saved.get(name, value) != value]
-    return ", ".join(names) or "a setting that the policy does not name"
+        for index in range(episodes)
+    )
 
 
 def _official_env(name: str, render_mode: str | None) -> AnyEnv:
@@ -203,19 +201,26 @@ def _official_env(name: str, render_mode: str | None) -> AnyEnv:
     return gym.make(name, render_mode=render_mode)
 
 
-def _episode(
-    env: AnyEnv, policy: Policy, *, seed: int, ticks: int, picture: Picture | None
-) -> bool:
+def _episode(env: AnyEnv, actor: Actor, *, seed: int, shots: Film | None) -> bool:
     observation, _ = env.reset(seed=seed)
-    info: dict[str, Any] = {"is_success": 0.0}
-    for _ in range(ticks):
-        if picture is not None:
-            picture(env)
-        action = choose_action(policy, observation, REAL)[0].numpy()
-        observation, _, _, truncated, info = env.step(action)
+    success = False
+    if shots is not None:
+        shots.take(env, success)
+    for _ in range(actor.task.episode_ticks):
+        action = choose_action(actor.policy, observation, REAL)[0].numpy()
+        try:
+            observation, _, _, truncated, info = env.step(action)
+        except EpisodeAborted:
+            success = False
+            break
+        success = bool(info["is_success"])
+        if shots is not None:
+            shots.take(env, success)
         if truncated:
             break
-    return bool(info["is_success"])
+    if shots is not None:
+        shots.linger()
+    return success
 
 
 make_module_callable(__name__)

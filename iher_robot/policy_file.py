@@ -31,8 +31,8 @@ class PolicyFile:
         body_digest: Differences to the robot's are listed.
         controller: Settings of the controller.
         policy: Networks, normalisers and their configuration, as the learner takes its snapshot.
-        trained: How it was trained: algorithm, preset, seed, robot minutes, versions, commit,
-            final success.
+        trained: How it was trained: algorithm, preset, driver, robot, seed, robot minutes,
+            versions, commit, final success.
     """
 
     task: str

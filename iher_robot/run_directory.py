@@ -34,6 +34,7 @@ class RunDirectory:
         self.policy_path = path / "policy.pt"
         self.tensorboard_path = path / "tensorboard"
         self.plot_path = path / "success.png"
+        self.film_path = path / "final.mp4"
 
     @classmethod
     def create(cls, path: Path, config_text: str) -> RunDirectory:

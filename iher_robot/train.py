@@ -13,14 +13,21 @@ from pathlib import Path
 from torch.utils.tensorboard import SummaryWriter
 
 from iher_robot.callable_module import make_module_callable
-from iher_robot.config import dump_config, load_config, read_config
+from iher_robot.chosen_robot import DEFAULT_DRIVER, ChosenRobot
+from iher_robot.config import RunConfig, dump_config, load_config, read_config
 from iher_robot.display import TrainingDisplay
+from iher_robot.evaluate import evaluate_on
 from iher_robot.ledger import Ledger
+from iher_robot.policy_fit import load_actor
 from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
 from iher_robot.training_run import TrainingRun
+from iher_robot.video import require_film
 from iher_robot.workcell import Workcell, open_workcell
 from tasks import canonical_name
+
+FILMED_EPISODES = 5
+"""Episodes of the final policy that a film shows."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,8 @@ class TrainResult:
         wall_seconds: Wall-clock time, interruptions left out.
         epochs: Epochs done.
         plot: The plot of success against robot minutes.
+        robot: The robot of the run.
+        video: The film of the final policy, if there is one.
     """
 
     directory: Path
@@ -46,25 +55,31 @@ class TrainResult:
     wall_seconds: float
     epochs: int
     plot: Path
+    robot: ChosenRobot
+    video: Path | None
 
     def summary(self) -> str:
         """The result in a few lines."""
         epochs = "epoch" if self.epochs == 1 else "epochs"
         wall = datetime.timedelta(seconds=round(self.wall_seconds))
+        film = "" if self.video is None else f"video   {self.video}\n"
         return (
             f"{self.success_rate:.0%} success in the last evaluation, after "
             f"{self.robot_minutes:.2f} of {self.budget_minutes:g} robot minutes, "
             f"{self.epochs} {epochs}, {wall} of wall clock\n"
             f"policy  {self.policy}\n"
             f"plot    {self.plot}\n"
-            f"check   iher-robot evaluate {self.policy} --episodes 100 --official"
+            f"{film}"
+            f"check   iher-robot evaluate {shlex.quote(str(self.policy))} --episodes 100"
+            f"{self.robot.command_options}"
         )
 
 
 def train(
     *,
     task: str,
-    driver: str = "mujoco",
+    driver: str = DEFAULT_DRIVER,
+    robot: str | None = None,
     preset: str = "default",
     algo: str = "iher",
     budget_minutes: float | None = None,
@@ -74,12 +89,14 @@ def train(
     until_success: float | None = 1.0,
     device: str = "auto",
     display: bool = True,
+    video: bool = False,
 ) -> TrainResult:
     """Learn a task within a budget of robot minutes.
 
     Args:
         task: Name of the task.
         driver: Name of the robot driver.
+        robot: Name of a robot, or the path of a YAML file; the driver's default where None.
         preset: Name of a preset, or the path of a YAML file.
         algo: ``iher``, or a model-free baseline.
         budget_minutes: Robot minutes to spend; the preset's where None.
@@ -89,6 +106,7 @@ def train(
         until_success: Stop when the last two evaluations reach this rate; None never stops.
         device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
         display: Show progress while it runs.
+        video: Film the final policy, in simulation.
 
     Returns:
         How the run ended.
@@ -105,20 +123,23 @@ def train(
     }
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
-    config = load_config(task, preset, algo, overrides, options)
+    config = load_config(task, preset, algo, overrides, options, robot)
+    if video:
+        require_film(config.chosen_robot, task)
     path = out or default_run_path(task, algo, preset, config.seed)
     # The robot is made first: a bad driver or budget should leave no folder behind.
     with open_workcell(config) as cell:
         directory = RunDirectory.create(path, dump_config(config))
-        return _run(cell, directory, display)
+        return _run(cell, directory, display=display, video=video)
 
 
-def resume(directory: Path, *, display: bool = True) -> TrainResult:
+def resume(directory: Path, *, display: bool = True, video: bool = False) -> TrainResult:
     """Continue a stopped run to its budget, as it was configured.
 
     Args:
         directory: The run folder.
         display: Show progress while it runs.
+        video: Film the final policy, in simulation.
 
     Returns:
         How the run ended.
@@ -128,17 +149,19 @@ def resume(directory: Path, *, display: bool = True) -> TrainResult:
     """
     opened = RunDirectory.open(directory)
     config = read_config(opened.config_path)
+    if video:
+        require_film(config.chosen_robot, config.task)
     with open_workcell(config) as cell:
-        return _run(cell, opened, display)
+        return _run(cell, opened, display=display, video=video)
 
 
-def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
+def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool) -> TrainResult:
     config = cell.config
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
-        title = f"{config.task} on {config.driver}, {config.algo}, {config.preset}"
+        title = f"{config.task} on {config.chosen_robot.title}, {config.algo}, {config.preset}"
         shown = stack.enter_context(
             TrainingDisplay(config.budget_minutes, title=title, enabled=display)
         )
@@ -149,6 +172,7 @@ def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
+    film = _film(config, directory) if video else None
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
@@ -158,7 +182,21 @@ def _run(cell: Workcell, directory: RunDirectory, display: bool) -> TrainResult:
         wall_seconds=last["wall_seconds"],
         epochs=int(last["epoch"]),
         plot=directory.plot_path,
+        robot=config.chosen_robot,
+        video=film,
     )
+
+
+def _film(config: RunConfig, directory: RunDirectory) -> Path:
+    result = evaluate_on(
+        config.chosen_robot,
+        load_actor(directory.policy_path),
+        episodes=FILMED_EPISODES,
+        seed=config.seed,
+        video=directory.film_path,
+    )
+    assert result.video is not None
+    return result.video
 
 
 make_module_callable(__name__)

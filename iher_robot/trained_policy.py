@@ -34,6 +34,8 @@ def trained_policy(
         "algo": config.algo,
         "preset": config.preset,
         "driver": config.driver,
+        "robot": config.robot,
+        "robot_options": config.robot_options,
         "seed": config.seed,
         "robot_minutes": row["robot_minutes"],
         "epochs": int(row["epoch"]),

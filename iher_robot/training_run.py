@@ -269,7 +269,7 @@ class TrainingRun:
         plot_success(
             {label: self.rows},
             self.directory.plot_path,
-            title=f"{config.task} on {config.driver}",
+            title=f"{config.task} on {config.chosen_robot.title}",
             subtitle=f"seed {config.seed}, commit {self.provenance['commit'][:10]}",
             budget_minutes=config.budget_minutes,
         )

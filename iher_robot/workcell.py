@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from iher_robot.config import RunConfig
-from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
@@ -68,10 +68,10 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
     torch.set_num_threads(config.threads)
     torch.set_float32_matmul_precision(config.learner.matmul_precision)
     with ExitStack() as stack:
-        env = stack.enter_context(make_env(config.task, config.driver))
+        env = stack.enter_context(config.chosen_robot.make_env(config.task))
         simulator = None
         if not env.driver.spec.physical:
-            simulator = stack.enter_context(make_env(config.task, config.driver))
+            simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
         shapes = Shapes(
             obs_dim=env.task.layout.obs_dim,
             goal_dim=env.task.goal_dim,

@@ -95,13 +95,14 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
     outcome = run(
         *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
         *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
-        *"--until-success 0.9 --device cpu --quiet".split(),
+        *"--until-success 0.9 --device cpu --quiet --robot worn --video".split(),
     )
 
     assert outcome == Outcome(0, "what the application says\n", "")
     assert train.kwargs == {
         "task": "push",
         "driver": "mujoco",
+        "robot": "worn",
         "preset": "paper",
         "algo": "her",
         "budget_minutes": 1.5,
@@ -111,6 +112,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         "until_success": 0.9,
         "device": "cpu",
         "display": False,
+        "video": True,
     }
 
 
@@ -124,6 +126,8 @@ def test_train_leaves_to_the_application_what_is_not_given(
     assert train.kwargs["budget_minutes"] is None
     assert train.kwargs["out"] is None
     assert train.kwargs["until_success"] is None
+    assert train.kwargs["robot"] is None
+    assert train.kwargs["video"] is False
     assert train.kwargs["display"] is True
     assert not train.kwargs["overrides"]
 
@@ -132,14 +136,17 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     resume = replace(monkeypatch, "train", "resume")
 
     assert run("train", "--resume", "there", "--no-display").code == 0
-    assert (resume.args, resume.kwargs) == ((Path("there"),), {"display": False})
+    assert (resume.args, resume.kwargs) == ((Path("there"),), {"display": False, "video": False})
+    assert run("train", "--resume", "there", "--video").code == 0
+    assert resume.kwargs == {"display": True, "video": True}
 
 
 def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     evaluate = replace(monkeypatch, "evaluate", "evaluate")
 
     outcome = run(
-        *"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5 --task push".split()
+        *"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5 --task push".split(),
+        *"--robot mine.yaml --accept-interface".split(),
     )
 
     assert outcome == Outcome(0, "what the application says\n", "")
@@ -149,9 +156,42 @@ def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPat
         "seed": 5,
         "official": True,
         "driver": "mujoco",
+        "robot": "mine.yaml",
         "task": "push",
         "video": Path("v.mp4"),
+        "accept_interface": True,
     }
+
+
+def test_view_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    view = replace(monkeypatch, "view", "view")
+
+    words = "view --task push --policy p.pt --driver other --robot worn --seed 5 --episodes 3"
+    outcome = run(*words.split(), "--accept-interface")
+
+    assert outcome == Outcome(0, "what the application says\n", "")
+    assert view.kwargs == {
+        "task": "push",
+        "policy": Path("p.pt"),
+        "driver": "other",
+        "robot": "worn",
+        "seed": 5,
+        "episodes": 3,
+        "accept_interface": True,
+    }
+    run("view", "--task", "push")
+    assert (view.kwargs["policy"], view.kwargs["episodes"]) == (None, None)
+
+
+def test_view_and_films_need_something_to_draw_on(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    assert_one_sentence(run("view", "--task", "push"), "evaluate --video")
+    outcome = run("train", "--task", "reach", "--video", *ONE_EPISODE)
+    assert_one_sentence(outcome, "MUJOCO_GL", "libegl1")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interrupted_run_says_how_to_resume(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,6 +299,8 @@ def test_a_bug_is_not_hidden_as_bad_input(run: Run, monkeypatch: pytest.MonkeyPa
         ("train --task psh", ["'psh'", "pick_and_place", "did you mean 'push'?"]),
         ("train --task push --driver mujoko", ["'mujoko'", "did you mean 'mujoco'?"]),
         ("train --task push --preset papr", ["'papr'", "did you mean 'paper'?"]),
+        ("train --task push --robot ftch", ["'ftch'", "did you mean 'fetch'?"]),
+        ("train --task push --robot no/robot.yaml", ["no robot file at no/robot.yaml"]),
         ("train --task push --algo hr", ["'hr'", "her-matched", "did you mean 'her'?"]),
         ("train --task push --set learner.ddpg.gama=0.9", ["gama", "learner.ddpg.gamma"]),
         ("train --task push --set learner.ddpg.gamma=1.5", ["gamma", "1.5", "1"]),

@@ -32,6 +32,7 @@ def configs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Files:
 
     for name in ("presets/default/push.yaml", "presets/paper/push.yaml", "algorithms/iher.yaml"):
         write(name, "")
+    write("robots/fetch.yaml", "actuation: mocap")
     monkeypatch.setattr(config_source, "_configs_root", lambda: root)
     return write
 
@@ -108,6 +109,9 @@ def test_values_are_read_as_their_keys_type(
         ("ddpg.gamma=0.9", ["unknown key 'ddpg'", "mean 'learner.ddpg'"]),
         ("learner.ddpg.gamma.x=0.9", ["learner.ddpg.gamma", "number"]),
         ("task=reach", ["--task"]),
+        ("robot=fetch", ["--robot"]),
+        ("robot_options={actuation: joint}", ["--robot"]),
+        ("robot_options.actuation=joint", ["--robot"]),
         ("seed", ["--set seed", "key=value"]),
         ("=3", ["key=value"]),
         ("learner..gamma=3", ["key=value"]),
@@ -288,6 +292,32 @@ def test_options_win_over_files_and_overrides_over_options(configs: Files) -> No
     config = load_config("push", "default", "iher", [], options)
     assert (config.seed, config.driver, config.until_success) == (4, "[1e3", None)
     assert load_config("push", "default", "iher", ["seed=5"], options).seed == 5
+
+
+def test_the_robots_options_are_kept_as_they_were_read(configs: Files, tmp_path: Path) -> None:
+    configs("robots/worn.yaml", "object: {mass_kg: 3e0, names: [a, 1]}\ndelay: null")
+    kept = tmp_path / "config.yaml"
+    kept.write_text(dump_config(load_config("push", "default", "iher", [], robot="worn")))
+
+    configs("robots/worn.yaml", "delay: 5")
+
+    config = read_config(kept)
+    assert config.robot == "worn"
+    assert config.robot_options == {"object": {"mass_kg": 3.0, "names": ["a", 1]}, "delay": None}
+    assert load_config("push", "default", "iher", []).robot_options == {"actuation": "mocap"}
+
+
+def test_the_default_robot_is_that_of_the_driver_wherever_it_was_named(configs: Files) -> None:
+    configs("presets/default/push.yaml", "driver: other")
+    config = load()
+    assert (config.driver, config.robot, config.robot_options) == ("other", "", {})
+    assert load("driver=mujoco").robot == "fetch"
+
+
+def test_a_robot_of_infinite_mass_is_refused_by_name(configs: Files) -> None:
+    configs("robots/heavy.yaml", "object: {mass_kg: .inf}")
+    with pytest.raises(UserError, match=r"robot heavy: robot_options is .*inf.*finite numbers"):
+        load_config("push", "default", "iher", [], robot="heavy")
 
 
 def shipped() -> list[tuple[str, str]]:

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 import torch
 
+import iher_robot.chosen_robot
 import iher_robot.training_run
 import iher_robot.workcell
+from drivers.rendering import CannotRender
 from iher_robot.collect import Recorder
 from iher_robot.display import TrainingDisplay
 from iher_robot.env import EpisodeAborted, GoalRobotEnv, ResetFailed, make_env
@@ -28,6 +30,7 @@ from iher_robot.errors import UserError
 from iher_robot.evaluate import evaluate
 from iher_robot.evaluation import Evaluation
 from iher_robot.ledger import Ledger
+from iher_robot.policy_file import load_policy
 from iher_robot.train import TrainResult, resume, train
 
 TINY = (
@@ -234,7 +237,7 @@ def test_robots_end_disarmed_and_closed_whatever_happens(
         made.append(make_env(*args, **options))
         return made[-1]
 
-    monkeypatch.setattr(iher_robot.workcell, "make_env", remember)
+    monkeypatch.setattr(iher_robot.chosen_robot, "make_env", remember)
     with interruption(GoalRobotEnv, method, call=2):
         run(tmp_path / "run", EPOCH_MINUTES)
     assert made
@@ -405,6 +408,55 @@ def test_the_display_changes_nothing(tmp_path: Path) -> None:
         device="cpu",
     )
     assert metrics(tmp_path / "quiet") == metrics(tmp_path / "shown")
+
+
+def test_a_run_goes_on_with_the_robot_that_it_began_with(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("actuation: mocap")
+    with interruption(TrainingDisplay, "epoch", call=1):
+        run(tmp_path / "run", 2 * EPOCH_MINUTES, robot=str(mine))
+    mine.write_text("actuation: changed since")
+
+    result = resume(tmp_path / "run", display=False)
+
+    trained = load_policy(result.policy).trained
+    assert (trained["driver"], trained["robot"]) == ("mujoco", str(mine))
+    assert trained["robot_options"] == {"actuation": "mocap"}
+    assert f"--robot {mine}" in result.summary()
+
+
+def test_a_film_shows_the_final_policy_and_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imageio = pytest.importorskip("imageio.v2")
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    grey = np.full((48, 64, 3), 128, np.uint8)
+    monkeypatch.setattr(GoalRobotEnv, "render", lambda self: grey)  # graphics may be missing
+
+    filmed = run(tmp_path / "filmed", EPOCH_MINUTES, video=True)
+    plain = run(tmp_path / "plain", EPOCH_MINUTES)
+
+    assert filmed.video == tmp_path / "filmed" / "final.mp4"
+    assert str(filmed.video) in filmed.summary()
+    # Five episodes: the start, 50 ticks, and the last picture for 0.6 s more.
+    assert len(list(imageio.get_reader(filmed.video).iter_data())) == 5 * (1 + 50 + 15)
+    assert plain.video is None
+    assert not (tmp_path / "plain" / "final.mp4").exists()
+    assert metrics(tmp_path / "filmed") == metrics(tmp_path / "plain")
+
+
+def test_a_film_that_cannot_be_made_is_refused_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+
+    def fail(self: GoalRobotEnv) -> None:
+        raise CannotRender("nothing draws here")
+
+    monkeypatch.setattr(GoalRobotEnv, "render", fail)
+    with pytest.raises(CannotRender):
+        run(tmp_path / "run", EPOCH_MINUTES, video=True)
+    assert not (tmp_path / "run").exists()
 
 
 def test_seeds_decide_a_run(tmp_path: Path) -> None:

@@ -1,0 +1,136 @@
+"""A policy from its file, ready to act, and what differs between its robot and another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from drivers.canonical import Json, differences
+from iher_robot.env import GoalRobotEnv
+from iher_robot.errors import UserError
+from iher_robot.learning.goal_model import REAL
+from iher_robot.learning.policy import Policy
+from iher_robot.policy_file import PolicyFile, check_task, load_policy
+from tasks import GoalTask, make_task
+
+ACCEPT_INTERFACE = "--accept-interface"
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A policy that acts.
+
+    Attributes:
+        path: Where it was read.
+        file: What it fits and how it was trained.
+        task: What it was trained for, not bound to a robot.
+        policy: Its networks, on the CPU.
+    """
+
+    path: Path
+    file: PolicyFile
+    task: GoalTask
+    policy: Policy
+
+
+def load_actor(path: Path, task: str | None = None) -> Actor:
+    """Read a policy and check that it acts.
+
+    Args:
+        path: The policy file.
+        task: The task that it is expected to be for; any where None.
+
+    Raises:
+        UserError: The file is damaged, or is for another task, or holds nothing that acts.
+    """
+    file = load_policy(path)
+    asked = make_task(file.task if task is None else task)
+    check_task(file, asked.name, asked.layout.digest())
+    return Actor(path, file, asked, _policy(file, path, asked))
+
+
+def check_fit(
+    actor: Actor, env: GoalRobotEnv, *, accept_interface: bool = False
+) -> tuple[str, ...]:
+    """Refuse a robot of another interface; name what else differs.
+
+    Args:
+        actor: The policy.
+        env: The robot, not yet moving.
+        accept_interface: Take another interface all the same, unless the robot is physical.
+
+    Returns:
+        A sentence for each difference that is accepted.
+
+    Raises:
+        UserError: The interface differs and is not accepted, or the action has another length.
+    """
+    file, spec = actor.file, env.robot_spec
+    found = []
+    if file.interface_digest != spec.interface_digest:
+        changed = _differences(file.spec, spec.to_dict(), spec.interface())
+        if spec.physical or not accept_interface:
+            advice = "train one on this robot"
+            if not spec.physical:
+                advice += f", or run it all the same with {ACCEPT_INTERFACE}"
+            raise UserError(
+                f"the policy was trained for another interface: {spec.name} has "
+                f"{'; '.join(changed)}; {advice}"
+            )
+        found += [
+            f"the policy was trained for another interface: {spec.name} has {difference}"
+            for difference in changed
+        ]
+    if env.action_space.shape != (actor.policy.shapes.action_dim,):
+        raise UserError(
+            f"{actor.path} holds a policy of {actor.policy.shapes.action_dim} action values, the "
+            f"robot takes {env.action_space.shape}; train it again"
+        )
+    if file.body_digest != spec.body_digest:
+        changed_names = _changed(file.spec, spec.body())
+        found.append(f"the policy was trained on another body, it differs in {changed_names}")
+    if file.controller != dict(env.controller.settings):
+        changed_names = _changed(file.controller, env.controller.settings)
+        found.append(
+            f"the policy was trained with another controller, it differs in {changed_names}"
+        )
+    return tuple(found)
+
+
+def _policy(file: PolicyFile, path: Path, task: GoalTask) -> Policy:
+    """Build the networks of a file whose seal says nothing of what its writer put in."""
+    try:
+        policy = Policy.from_snapshot(file.policy, device=torch.device("cpu"))
+        observation = torch.zeros(1, task.layout.obs_dim)
+        goal = torch.zeros(1, task.goal_dim)
+        action = policy.act(observation, goal, torch.tensor([REAL]))
+    except (
+        ArithmeticError,
+        AttributeError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        named = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        reason = " ".join(named.split())
+        raise UserError(f"{path} holds no policy that can act: {reason}; train it again") from error
+    if not torch.isfinite(action).all():
+        raise UserError(f"{path} holds no policy that can act: its actions are not finite")
+    return policy
+
+
+def _differences(
+    saved: Mapping[str, Json], present: Mapping[str, Json], names: Mapping[str, object]
+) -> list[str]:
+    """Every leaf of the named parts in which the robot differs from what the policy saved."""
+    mine, theirs = ({name: whole.get(name) for name in names} for whole in (present, saved))
+    return differences(mine, theirs) or ["a setting that the policy does not name"]
+
+
+def _changed(saved: Mapping[str, object], present: Mapping[str, object]) -> str:
+    names = [name for name, value in present.items() if saved.get(name, value) != value]
+    return ", ".join(names) or "a setting that the policy does not name"
