@@ -41,6 +41,26 @@ def steps_per_second(env: gym.Env, episodes: int = 4) -> float:
     return episodes * len(actions) / (time.perf_counter() - started)
 
 
+def inverse_kinematics_ms(env: GoalRobotEnv, ticks: int = 500) -> dict[str, float]:
+    """Times of one joint command from an action, over a random motion."""
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    times = []
+    for tick in range(ticks):
+        if tick % env.episode_ticks == 0:
+            env.reset(seed=tick)
+        action, state = rng.uniform(-1, 1, 4), env.driver.read()
+        started = time.perf_counter()
+        env.controller.command(action, state)
+        times.append(1e3 * (time.perf_counter() - started))
+        env.step(action)
+    env.hold()
+    return {
+        "inverse kinematics ms, p50": float(np.percentile(times, 50)),
+        "inverse kinematics ms, p99": float(np.percentile(times, 99)),
+    }
+
+
 def random_episodes(env: GoalRobotEnv, count: int) -> list[Episode]:
     """Real episodes of random actions, to fill the learner with."""
     rng = np.random.default_rng(0)
@@ -117,23 +137,27 @@ def main() -> None:
     import gymnasium_robotics
 
     gym.register_envs(gymnasium_robotics)
-    ours, official = make_env("push"), gym.make("FetchPush-v4")
+    ours, official = make_env("push", actuation="mocap"), gym.make("FetchPush-v4")
+    joint = make_env("push")
     learner = make_learner(ours, "medium")
     found: dict[str, list[float]] = {}
     for _ in range(options.rounds):
         row = {
-            "environment steps/s, iher_robot": steps_per_second(ours),
+            "environment steps/s, iher_robot, joint actuation": steps_per_second(joint),
+            "environment steps/s, iher_robot, mocap actuation": steps_per_second(ours),
             "environment steps/s, gymnasium-robotics through gym.make": steps_per_second(official),
         }
+        row |= inverse_kinematics_ms(joint)
         for precision in ("medium", "highest"):
             row |= measure(learner, precision)
         for name, value in row.items():
             found.setdefault(name, []).append(value)
-    ours.close()
+    for env in (ours, joint):
+        env.close()
     medians = {name: statistics.median(values) for name, values in found.items()}
     for name, value in medians.items():
         low, high = min(found[name]), max(found[name])
-        print(f"{name:62s} {value:10,.1f}   ({low:,.1f} to {high:,.1f})")
+        print(f"{name:62s} {value:10,.2f}   ({low:,.2f} to {high:,.2f})")
     if options.out is not None:
         provenance = collect_provenance(sys.argv, 0, datetime.now().astimezone())
         document = provenance | {"threads": options.threads, "median": medians, "all": found}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-import drivers
+import iher_robot
 
 KINEMATICS = """<mujoco>
   <default><joint type="slide" range="0 1"/></default>
@@ -13,48 +13,48 @@ KINEMATICS = """<mujoco>
     <geom size="0.01"/> <site name="ee"/>
   </body></worldbody>
 </mujoco>"""
-AXIS = drivers.JointLimits(lower=0.0, upper=1.0, max_velocity=1.0, max_acceleration=10.0)
-SPEC = drivers.RobotSpec(
+AXIS = iher_robot.JointLimits(lower=0.0, upper=1.0, max_velocity=1.0, max_acceleration=10.0)
+SPEC = iher_robot.RobotSpec(
     name="line",
     command_kinds=("joint",),
-    action=drivers.ActionSpec(position_scale_m=0.03, gripper_scale_m=0.004),
+    action=iher_robot.ActionSpec(position_scale_m=0.03, gripper_scale_m=0.004),
     control_period_s=0.04,
     frame="world",
     objects={},
     finger_names=("right", "left"),
-    limits=drivers.Limits(
+    limits=iher_robot.Limits(
         joints={"x": AXIS, "y": AXIS, "z": AXIS},
-        gripper=drivers.GripperLimits(lower_m=0.0, upper_m=0.05, max_speed_m_s=0.1),
+        gripper=iher_robot.GripperLimits(lower_m=0.0, upper_m=0.05, max_speed_m_s=0.1),
         max_ee_speed_m_s=1.0,
-        workspace=drivers.Box((0.1, 0.1, 0.1), (0.9, 0.9, 0.9)),
+        workspace=iher_robot.Box((0.1, 0.1, 0.1), (0.9, 0.9, 0.9)),
         watchdog_s=0.1,
     ),
     gains={},
     calibration_id="simulated",
     kinematic_model=KINEMATICS,
-    home=drivers.Home((0.5, 0.5, 0.5), (1.0, 0.0, 0.0, 0.0), q=(0.5, 0.5, 0.5)),
+    home=iher_robot.Home((0.5, 0.5, 0.5), (1.0, 0.0, 0.0, 0.0), q=(0.5, 0.5, 0.5)),
     physical=False,
     hold_on_silence_s=None,
     enforces_joint_limits=True,
 )
 
 
-class LineRobot(drivers.RobotDriver):
+class LineRobot(iher_robot.RobotDriver):
     """Is always where its setpoint is, and the safety filter has cut that to every limit."""
 
     def __init__(self, *, scene: str = "reach") -> None:
         if scene != "reach":
-            raise drivers.InvalidRequest(f"scene of 'line' is {scene!r}, allowed: 'reach'")
-        self._time = drivers.SimulatedClock()
+            raise iher_robot.InvalidRequest(f"scene of 'line' is {scene!r}, allowed: 'reach'")
+        self._time = iher_robot.SimulatedClock()
         super().__init__(SPEC, self._time)
         self._seq = 0
         self._begin_at_home()
 
     def _begin_at_home(self) -> None:
-        self._setpoint = drivers.JointSetpoint(np.array(SPEC.home.q), np.zeros(3), np.zeros(2))
+        self._setpoint = iher_robot.JointSetpoint(np.array(SPEC.home.q), np.zeros(3), np.zeros(2))
         self._fingers_vel = np.zeros(2)
-        self._pending: tuple[drivers.Command, tuple[str, ...]] | None = None
-        self._applied: drivers.AppliedCommand | None = None
+        self._pending: tuple[iher_robot.Command, tuple[str, ...]] | None = None
+        self._applied: iher_robot.AppliedCommand | None = None
 
     def _open(self) -> None:
         """There is nothing to connect to."""
@@ -65,7 +65,7 @@ class LineRobot(drivers.RobotDriver):
     def _hold(self) -> None:
         self._pending = None  # the next tick brakes
 
-    def _apply(self, command: drivers.Command, clipped: tuple[str, ...]) -> None:
+    def _apply(self, command: iher_robot.Command, clipped: tuple[str, ...]) -> None:
         self._pending = (command, clipped)
 
     def _advance(self) -> None:
@@ -76,24 +76,24 @@ class LineRobot(drivers.RobotDriver):
             self._setpoint = self._brake(before)
         else:
             command, clipped = self._pending
-            assert isinstance(command, drivers.JointCommand)
+            assert isinstance(command, iher_robot.JointCommand)
             q, dq, fingers = command.q_target, command.dq, command.finger_target
-            self._setpoint = drivers.JointSetpoint(q, dq, fingers)
-            self._applied = drivers.AppliedCommand(self._seq, command, clipped)
+            self._setpoint = iher_robot.JointSetpoint(q, dq, fingers)
+            self._applied = iher_robot.AppliedCommand(self._seq, command, clipped)
         self._pending = None
         self._fingers_vel = (self._setpoint.fingers - before.fingers) / SPEC.control_period_s
 
-    def _reset(self, request: drivers.ResetRequest) -> drivers.ResetResult:
-        if request.objects:
-            raise drivers.InvalidRequest(f"'line' has no objects, got {sorted(request.objects)}")
+    def _reset(self, request: iher_robot.ResetRequest) -> iher_robot.ResetResult:
+        """There is nothing to place: the base class has refused what the spec does not declare."""
+        del request
         self._seq += 1
         self._time.advance_ns(SPEC.control_period_ns)
         self._begin_at_home()
-        return drivers.ResetResult(drivers.ResetOutcome.DONE)
+        return iher_robot.ResetResult(iher_robot.ResetOutcome.DONE)
 
-    def _read(self) -> drivers.RobotState:
+    def _read(self) -> iher_robot.RobotState:
         at = self._setpoint
-        return drivers.RobotState(
+        return iher_robot.RobotState(
             seq=self._seq,
             stamp_ns=self._time.now_ns(),
             q=at.q,
