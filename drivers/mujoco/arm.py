@@ -37,8 +37,9 @@ _TORSO_RANGE = (0.0, 0.3861)
 _TORSO_DAMPING = 100.0
 # The table's top is at 0.4 m and the fingers end 18.5 mm below the grip site.
 _LOWEST_HOME_M = 0.4235
-# Parts of the arm that could hit the table: position in the body's frame and radius, m.
+# Parts of the arm that could hit the table or the head: position in the body's frame and radius, m.
 _GUARDS = {
+    "upperarm_roll_link": ((0.0, 0.0, 0.0), 0.08),
     "elbow_flex_link": ((0.0, 0.0, 0.0), 0.06),
     "forearm_roll_link": ((0.0, 0.0, 0.0), 0.06),
     "wrist_flex_link": ((0.0, 0.0, 0.0), 0.06),

@@ -6,10 +6,11 @@ import math
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.canonical import digest
 from drivers.command import EndEffectorCommand, JointCommand
-from drivers.limits import Box, GripperLimits, JointLimits, Limits
+from drivers.limits import Box, GripperLimits, JointLimits, Limits, Vector3
 from drivers.mujoco.robot import FetchRobot
 from drivers.mujoco.scene import SUBSTEPS, FetchScene, StartState
 from drivers.spec import ActionSpec, Home, ObjectSource, RobotSpec
@@ -138,7 +139,7 @@ def _limits(model: mujoco.MjModel, robot: FetchRobot, watchdog_s: float) -> Limi
         max_ee_speed_m_s=_MOCAP_EE_SPEED if mocap else _EE_SPEED,
         workspace=_MOCAP_WORKSPACE if mocap else _WORKSPACE,
         watchdog_s=watchdog_s,
-        keep_out=() if mocap else (_table(model),),
+        keep_out=() if mocap else (_table(model), _head(model)),
     )
 
 
@@ -146,8 +147,27 @@ def _table(model: mujoco.MjModel) -> Box:
     body = model.body("table0")
     geom = int(body.geomadr[0])
     half, centre = model.geom_size[geom], body.pos + model.geom_pos[geom]
-    lower, upper = (tuple(map(float, centre + side * half)) for side in (-1.0, 1.0))
-    return Box((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]))
+    return Box(_corner(centre - half), _corner(centre + half))
+
+
+def _head(model: mujoco.MjModel) -> Box:
+    """Box around the robot's own head, which a bent arm could hit."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    points = []
+    for name in ("robot0:head_pan_link", "robot0:head_tilt_link"):
+        geom = int(model.body(name).geomadr[0])
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        vertices = model.mesh_vert[first : first + count]
+        points.append(vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom])
+    lower, upper = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
+    return Box(_corner(lower), _corner(upper))
+
+
+def _corner(point: NDArray[np.float64]) -> Vector3:
+    x, y, z = map(float, point)
+    return x, y, z
 
 
 def kinematic_digest(model: mujoco.MjModel) -> str:
