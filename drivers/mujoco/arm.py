@@ -39,7 +39,7 @@ _TORSO_DAMPING = 100.0
 _LOWEST_HOME_M = 0.4235
 # Parts of the arm that could hit the table or the head: position in the body's frame and radius, m.
 _GUARDS = {
-    "upperarm_roll_link": ((0.0, 0.0, 0.0), 0.08),
+    "upperarm_roll_link": ((0.0, 0.0, 0.0), 0.06),
     "elbow_flex_link": ((0.0, 0.0, 0.0), 0.06),
     "forearm_roll_link": ((0.0, 0.0, 0.0), 0.06),
     "wrist_flex_link": ((0.0, 0.0, 0.0), 0.06),
