@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 _BISECTIONS = 7
-_PATH_POINTS = 4
+_FEWEST_POINTS = 3
 # Limits are met to this share of themselves, so that a motion at the limit is not cut again
 # in its next tick for the last bits.
 _ROUNDING = 1e-9
@@ -136,7 +136,8 @@ class JointMotion:
     ) -> tuple[Clip, ...]:
         """Name the limits that a tick ending at `dq`, and braking after it, would break."""
         q = self._end(start, dq)
-        rest = q + dq * self._braking_ticks(dq) * self._period_s / 2.0
+        ticks = self._braking_ticks(dq)
+        rest = q + dq * ticks * self._period_s / 2.0
         broken: list[Clip] = []
         # Outside already: not further out, so that the way back is open.
         lower, upper = np.minimum(self._lower, start.q), np.maximum(self._upper, start.q)
@@ -145,7 +146,8 @@ class JointMotion:
         speed = float(np.linalg.norm(self._kinematics.ee_jacobian(q) @ dq))
         if speed > self._ee_speed * scale * (1.0 + _ROUNDING):
             broken.append(Clip.EE_SPEED)
-        for share in np.linspace(0.0, 1.0, _PATH_POINTS):
+        # No further from point to point than the arm gets in a tick.
+        for share in np.linspace(0.0, 1.0, 1 + max(_FEWEST_POINTS, ticks)):
             depths = self._depths(q + share * (rest - q))
             exceeded = zip(depths.items(), allowed, strict=True)
             broken.extend(name for (name, depth), most in exceeded if depth > most + _ROUNDING)

@@ -21,7 +21,7 @@ class Actuation(Protocol):
         """Hold what was just set up."""
         ...
 
-    def resume(self) -> None:
+    def resume(self, data: mujoco.MjData) -> None:
         """Go on with a simulation that was restored."""
         ...
 
@@ -66,7 +66,7 @@ class MocapActuation:
         """Hold what was just set up, from the next tick on."""
         self._holding = False
 
-    def resume(self) -> None:
+    def resume(self, data: mujoco.MjData) -> None:  # noqa: ARG002 - as in `begin`
         """Go on with a simulation that was restored."""
         self._holding = False
 

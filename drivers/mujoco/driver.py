@@ -93,7 +93,7 @@ class MujocoDriver(RobotDriver):
             self._hold()
             self._gate.forget_states()
             self._data = copy.copy(data)
-            self._actuation.resume()
+            self._actuation.resume(self._data)
             self._begin_anew(seed=0)
 
     def render(

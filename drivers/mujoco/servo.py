@@ -65,8 +65,10 @@ class JointActuation:
         row[2 * N_ARM :] = data.qpos[self._qpos[N_ARM:]]
         self._memory(data)[:] = row
 
-    def resume(self) -> None:
-        """Go on with a simulation that was restored: its setpoints are in it."""
+    def resume(self, data: mujoco.MjData) -> None:
+        """Go on with a simulation that was restored: its setpoints are in it, if it has any."""
+        if not self._memory(data).any():  # not a snapshot of ours: hold where it is
+            self.begin(data)
 
     def tick(self, data: mujoco.MjData, command: Command | None) -> None:
         """Follow the setpoints for one control tick."""

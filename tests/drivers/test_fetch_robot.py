@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -228,6 +229,17 @@ def test_a_snapshot_of_motors_in_motion_continues_to_the_bit() -> None:
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.q, other.q)
         np.testing.assert_array_equal(one.dq, other.dq)
+
+
+def test_a_simulation_without_setpoints_is_held_where_it_is() -> None:
+    driver = started("push")
+    foreign = mujoco.MjData(driver.snapshot().model)
+    foreign.qpos[:] = driver.snapshot().qpos
+    mujoco.mj_forward(foreign.model, foreign)
+    before = driver.read()
+    driver.restore(foreign)
+    driver.advance()
+    np.testing.assert_allclose(driver.read().q, before.q, atol=1e-4)
 
 
 def test_home_is_off_the_table_where_the_reference_presses_on_it() -> None:
