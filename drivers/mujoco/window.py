@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol
@@ -51,6 +52,8 @@ def launch_passive(model: mujoco.MjModel, data: mujoco.MjData) -> Handle:
     return handle
 
 
+_CLOSING_S = 5.0
+
 Launch = Callable[[mujoco.MjModel, mujoco.MjData], Handle]
 
 
@@ -69,7 +72,9 @@ class Window:
         """
         self._model = copy.copy(model)
         self._shown = mujoco.MjData(self._model)
+        before = set(threading.enumerate())
         self._handle = launch(self._model, self._shown)
+        self._threads = set(threading.enumerate()) - before
         with self._handle.lock():
             look(self._handle.cam)
 
@@ -94,5 +99,11 @@ class Window:
         return self._handle.is_running()
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window, and wait until it is gone.
+
+        The viewer draws in a thread of its own. A program that ended while it cleans up would
+        end with a segmentation fault.
+        """
         self._handle.close()
+        for thread in self._threads:
+            thread.join(_CLOSING_S)

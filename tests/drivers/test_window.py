@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
+import threading
 from contextlib import AbstractContextManager, nullcontext
 
 import mujoco
@@ -116,3 +121,35 @@ def test_the_simulated_robot_offers_pictures_and_a_window() -> None:
     driver = MujocoDriver("reach")
     assert isinstance(driver, Renderable)
     assert isinstance(driver, Viewable)
+
+
+def test_closing_waits_for_the_viewers_own_thread(data: mujoco.MjData) -> None:
+    release, gone = threading.Event(), threading.Event()
+
+    def draw() -> None:
+        release.wait(5.0)
+        gone.set()
+
+    class Threaded(Handle):
+        def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+            super().__init__(model, data)
+            threading.Thread(target=draw, daemon=True).start()
+
+        def close(self) -> None:
+            threading.Timer(0.1, release.set).start()
+
+    Window(data.model, Threaded).close()
+    assert gone.is_set()
+
+
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="needs xvfb-run (Debian package xvfb)")
+def test_the_real_viewer_opens_and_ends_without_a_crash() -> None:
+    command = ["xvfb-run", "-a", sys.executable, "-m", "iher_robot", "view", "--task", "reach"]
+    environment = {key: value for key, value in os.environ.items() if key != "MUJOCO_GL"}
+    done = subprocess.run(
+        [*command, "--episodes", "1"], capture_output=True, text=True, env=environment, check=False
+    )
+    if "opens no window here" in done.stderr:
+        pytest.skip("no OpenGL on the virtual display")
+    assert done.returncode == 0, done.stderr
+    assert "1 episodes shown" in done.stdout
