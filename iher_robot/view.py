@@ -35,7 +35,8 @@ class ViewResult:
     def summary(self) -> str:
         """The result in a few lines."""
         lines = [f"warning: {warning}" for warning in self.warnings]
-        lines.append(f"{self.episodes} episodes shown, {self.successes} ended at the goal")
+        shown = "1 episode" if self.episodes == 1 else f"{self.episodes} episodes"
+        lines.append(f"{shown} shown, {self.successes} ended at the goal")
         return "\n".join(lines)
 
 

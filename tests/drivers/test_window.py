@@ -152,4 +152,4 @@ def test_the_real_viewer_opens_and_ends_without_a_crash() -> None:
     if "opens no window here" in done.stderr:
         pytest.skip("no OpenGL on the virtual display")
     assert done.returncode == 0, done.stderr
-    assert "1 episodes shown" in done.stdout
+    assert "1 episode shown" in done.stdout
