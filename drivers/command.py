@@ -121,6 +121,8 @@ class Refusal(StrEnum):
     LATCHED = "latched"
     EXPIRED = "expired"
     UNKNOWN_STATE = "unknown_state"
+    BAD_MEASUREMENT = "bad_measurement"
+    """The robot's own state holds values that are not finite: no limit could be checked."""
 
 
 @dataclass(frozen=True)

@@ -272,9 +272,10 @@ class RobotDriver(RobotHooks):
         self._safety.check(command)
         with self._hooks:
             self._require_open("command")
-            judgement = self._safety.judge(command)
+            state = self._read()
+            judgement = self._safety.judge(command, state)
             if judgement.accepted:
-                self._apply(*self._safety.limit(command, self._read(), self._speed_scale))
+                self._apply(*self._safety.limit(command, state, self._speed_scale))
             return judgement
 
     def advance(self) -> None:

@@ -135,8 +135,18 @@ class CommandGate:
         """
         judgement = self._judge(command)
         if judgement.refusal is not None:
-            self._refusals[judgement.refusal] += 1
+            return self.refuse(judgement.refusal, judgement.message)
         return judgement
+
+    def refuse(self, refusal: Refusal, message: str) -> Acceptance:
+        """Refuse a command, and count it.
+
+        Args:
+            refusal: Why.
+            message: The same in words, with values.
+        """
+        self._refusals[refusal] += 1
+        return Acceptance(refusal, message)
 
     def _judge(self, command: Command) -> Acceptance:
         fault = self._fault

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _BISECTIONS = 7
 _FEWEST_POINTS = 3
+_HUGE = 1e9
 # Limits are met to this share of themselves, so that a motion at the limit is not cut again
 # in its next tick for the last bits.
 _ROUNDING = 1e-9
@@ -91,7 +92,9 @@ class JointMotion:
         # Ends where a command with a matching dq says, to the bit of rounding; a target that
         # is repeated with dq = 0 is reached, at rest, in two ticks.
         duration_s = max(command.duration_s, self._period_s)
-        at_end = (command.q_target - start.q) / duration_s + (command.dq - start.dq) / 2.0
+        # Finite, but so large that their differences would not be.
+        q_target, dq = (np.clip(asked, -_HUGE, _HUGE) for asked in (command.q_target, command.dq))
+        at_end = (q_target - start.q) / duration_s + (dq - start.dq) / 2.0
         velocity: Array = start.dq + (at_end - start.dq) * (self._period_s / duration_s)
         return velocity
 

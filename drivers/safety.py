@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
+import numpy as np
+
 from drivers.clock import Clock
-from drivers.command import Acceptance, Command, EndEffectorCommand, JointCommand
+from drivers.command import Acceptance, Command, EndEffectorCommand, JointCommand, Refusal
 from drivers.displacement import DisplacementLimit
 from drivers.errors import InvalidCommand
 from drivers.gate import CommandGate
@@ -19,7 +21,8 @@ class SafetyFilter:
     """Decides on the robot's side what of a command reaches the motors.
 
     In this order: `check` refuses shapes, kinds and values that make no sense; `gate` refuses
-    while disarmed or stopped, and answers to states that are unknown or too old; `limit` cuts
+    while disarmed or stopped, answers to states that are unknown or too old, and everything
+    while the robot's own measurement is not finite (`judge`); `limit` cuts
     what is left to speeds, accelerations, ranges, the workspace and what is kept out of. A
     tick without a command is a tick of braking (`brake`): that is the deadman.
 
@@ -64,9 +67,20 @@ class SafetyFilter:
             )
         command.check(self._spec)
 
-    def judge(self, command: Command) -> Acceptance:
-        """Say whether a command may pass now, and count it if not."""
-        return self.gate.judge(command)
+    def judge(self, command: Command, state: RobotState) -> Acceptance:
+        """Say whether a command may pass now, and count it if not.
+
+        Args:
+            command: What was asked, checked.
+            state: The robot's newest state.
+        """
+        judgement = self.gate.judge(command)
+        if judgement.accepted and not _is_finite(state):
+            return self.gate.refuse(
+                Refusal.BAD_MEASUREMENT,
+                f"state {state.seq} of {self._spec.name} has values that are not finite",
+            )
+        return judgement
 
     def limit(
         self, command: Command, state: RobotState, speed_scale: float
@@ -101,3 +115,10 @@ class SafetyFilter:
         """
         assert self._joints is not None, "only a robot that takes joint commands has a setpoint"
         return self._joints.brake(setpoint)
+
+
+def _is_finite(state: RobotState) -> bool:
+    arrays = [state.q, state.dq, state.ee_pos, state.fingers_pos]
+    if state.setpoint is not None:
+        arrays += [state.setpoint.q, state.setpoint.dq, state.setpoint.fingers]
+    return bool(np.isfinite(np.concatenate(arrays)).all())

@@ -16,6 +16,7 @@ from drivers import (
     InvalidRequest,
     JointCommand,
     LifecycleError,
+    Refusal,
     ResetOutcome,
     ResetRequest,
     StaleState,
@@ -235,3 +236,16 @@ def test_an_error_says_what_is_wrong_with_a_command(
     arm(robot)
     with pytest.raises(InvalidCommand, match=message):
         robot.command(command)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_while_a_measurement_is_not_finite_nothing_moves(robot: FakeRobot, bad: float) -> None:
+    arm(robot)
+    state = robot.read()
+    robot.position = np.array([bad, 0.5, 0.5])
+    answer = robot.command(EndEffectorCommand(state.seq, np.ones(3) * 0.01, np.zeros(2)))
+    assert answer.refusal is Refusal.BAD_MEASUREMENT
+    assert "not finite" in answer.message
+    assert robot.refusals == {Refusal.BAD_MEASUREMENT: 1}
+    robot.advance()
+    assert robot.applied is None
