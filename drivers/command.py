@@ -110,8 +110,10 @@ class JointCommand(Command):
         _check("q_target", self.q_target, n_joints)
         _check("dq", self.dq, n_joints)
         _check("finger_target", self.finger_target, (len(spec.finger_names),))
-        if not 0 < self.duration_s < float("inf"):
-            raise InvalidCommand(f"duration_s is {self.duration_s}, allowed: above 0 and finite")
+        duration_s = self.duration_s
+        is_number = type(duration_s) is not bool and isinstance(duration_s, int | float)
+        if not is_number or not 0 < duration_s < float("inf"):
+            raise InvalidCommand(f"duration_s is {duration_s!r}, allowed: above 0 and finite")
 
 
 class Refusal(StrEnum):

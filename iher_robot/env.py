@@ -13,6 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from drivers import (
+    InvalidCommand,
     Refusal,
     Renderable,
     ResetOutcome,
@@ -248,6 +249,10 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         if np.shape(action) != self.action_space.shape:
             raise ValueError(
                 f"action has shape {np.shape(action)}, allowed: {self.action_space.shape}"
+            )
+        if not np.isfinite(action).all():  # before it is cut: infinity would become 1
+            raise InvalidCommand(
+                f"action is {np.asarray(action).tolist()}, allowed: finite numbers"
             )
         assert isinstance(self.action_space, spaces.Box)
         requested = np.clip(action, self.action_space.low, self.action_space.high)

@@ -21,7 +21,7 @@ _POSTURE_COST = 1e-3
 _POSTURE_GAIN = 0.1  # with 1 the elbow would swing to its posture within a tick
 _DAMPING_COST = 0.015
 _MAX_LEAD_M = 0.04
-_MARGIN_M = 0.004
+_MARGIN_M = 0.006
 _OUTSIDE = 1e-6  # rad or m beyond a joint limit that rounding may cause
 _AS_ASKED = 0.02
 

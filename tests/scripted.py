@@ -53,6 +53,7 @@ class PickAndPlace:
     def __init__(self) -> None:
         self._down = False
         self._closing = 0
+        self._gripped = 0
         self._held = False
 
     def __call__(self, obs: Array, goal: Array) -> Array:
@@ -65,7 +66,8 @@ class PickAndPlace:
         off = np.abs(block - gripper)
         if self._down and off[2] < 0.012 and np.linalg.norm(off[:2]) < 0.012:
             self._closing += 1
-        self._held = self._closing > (3 if finger < 0.026 else 50)
+        self._gripped += self._closing > 3 and finger < 0.026
+        self._held = self._gripped > 3  # by then the fingers press
         return np.append(_GAIN * (target - gripper), -1.0 if self._closing else 1.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -37,17 +38,19 @@ _TORSO_RANGE = (0.0, 0.3861)
 _TORSO_DAMPING = 100.0
 # The table's top is at 0.4 m and the fingers end 18.5 mm below the grip site.
 _LOWEST_HOME_M = 0.4235
-# Parts of the arm that could hit the table or the head: position in the body's frame and radius, m.
-_GUARDS = {
-    "upperarm_roll_link": ((0.0, 0.0, 0.0), 0.06),
-    "elbow_flex_link": ((0.0, 0.0, 0.0), 0.06),
-    "forearm_roll_link": ((0.0, 0.0, 0.0), 0.06),
-    "wrist_flex_link": ((0.0, 0.0, 0.0), 0.06),
-    "wrist_roll_link": ((0.0, 0.0, 0.0), 0.05),
-    "gripper_link": ((-0.09, 0.0, 0.0), 0.06),
-    "r_gripper_finger_link": ((0.0385, -0.008, 0.0), 1e-6),
-    "l_gripper_finger_link": ((0.0385, 0.008, 0.0), 1e-6),
+# Parts of the arm that could hit the table or the head, as spheres along each link: positions
+# in the body's frame and radius, m. Of the fingers the corners at the tips, closed and open.
+_LINK_GUARDS = {
+    "upperarm_roll_link": ((0.0, 0.07), 0.06),
+    "elbow_flex_link": ((0.0, 0.1), 0.06),
+    "forearm_roll_link": ((0.0, 0.06), 0.06),
+    "wrist_flex_link": ((0.0, 0.07), 0.06),
+    "wrist_roll_link": ((0.0,), 0.05),
+    "gripper_link": ((-0.09,), 0.06),
 }
+_POINT = 1e-6
+_FINGER_TIP = (0.0385, 0.015, 0.0135)  # half extents; thickness to the outer side
+_FINGER_OPEN = 0.05
 
 
 def arm_model(scene: FetchScene, robot: FetchRobot) -> mujoco.MjModel:
@@ -89,9 +92,10 @@ def kinematic_model(scene: FetchScene) -> str:
         scene: The scene.
     """
     root = _without_mocap(scene)
-    for name, (pos, radius) in _GUARDS.items():
+    for name, pos, radius in _guards():
         body = root.find("body", _PREFIX + name)
-        body.add("site", name=GUARD_PREFIX + name, pos=pos, size=(radius,) * 3)
+        number = len(body.site)
+        body.add("site", name=f"{GUARD_PREFIX}{name}:{number}", pos=pos, size=(radius,) * 3)
     gripper = root.find("body", _PREFIX + "gripper_link")
     grip = root.find("site", _PREFIX + "grip")
     gripper.add("site", name=EE_SITE, pos=grip.pos)
@@ -139,6 +143,18 @@ def arm_start(model: mujoco.MjModel, scene: FetchScene) -> StartState:
     data.time = start.time
     mujoco.mj_forward(model, data)
     return start_of(data, scene)
+
+
+def _guards() -> Iterator[tuple[str, tuple[float, float, float], float]]:
+    """Body, position in its frame and radius of each guarded sphere."""
+    for name, (along, radius) in _LINK_GUARDS.items():
+        for x in along:
+            yield name, (x, 0.0, 0.0), radius
+    length, outer, half_width = _FINGER_TIP
+    for side, name in ((-1.0, "r_gripper_finger_link"), (1.0, "l_gripper_finger_link")):
+        for opened in (0.0, _FINGER_OPEN):
+            for z in (-half_width, half_width):
+                yield name, (length, side * (outer - opened), z), _POINT
 
 
 def _without_mocap(scene: FetchScene) -> Any:

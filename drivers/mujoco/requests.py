@@ -14,7 +14,9 @@ _NEAREST_M = (0.1, -0.3)
 _FARTHEST_M = (2.3, 1.8)
 """Where an object may start: tables are larger than reach, but not by more than half a metre."""
 
-_SIZES = tuple("nq nv nu na nbody njnt ngeom nsite nmocap neq ntendon nsensordata".split())
+_SIZES = tuple(
+    "nq nv nu na nbody njnt ngeom nsite nmocap neq ntendon nsensordata nuserdata".split()
+)
 # Scenes differ in what is in them, and robots in the same scene do not.
 _CONSTANTS = ("qpos0", "body_mass", "geom_size", "geom_friction")
 

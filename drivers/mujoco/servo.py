@@ -16,6 +16,7 @@ from drivers.state import JointSetpoint
 Array = NDArray[np.float64]
 
 N_ARM = len(ARM_JOINTS)
+_FARTHEST_GAP = 0.3  # rad, between a joint that is held up by something and its setpoint
 _WIDTH = 2 * N_ARM + len(FINGERS)
 
 
@@ -67,7 +68,9 @@ class JointActuation:
 
     def resume(self, data: mujoco.MjData) -> None:
         """Go on with a simulation that was restored: its setpoints are in it, if it has any."""
-        if not self._memory(data).any():  # not a snapshot of ours: hold where it is
+        memory = self._memory(data)
+        gap = np.abs(memory[0, :N_ARM] - data.qpos[self._qpos[:N_ARM]]).max()
+        if not gap < _FARTHEST_GAP:  # not a snapshot of ours, or a changed one: hold where it is
             self.begin(data)
 
     def tick(self, data: mujoco.MjData, command: Command | None) -> None:

@@ -10,7 +10,15 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from drivers import InvalidSpec, JointCommand, Kinematics, ResetRequest, RobotState, make_driver
+from drivers import (
+    InvalidRequest,
+    InvalidSpec,
+    JointCommand,
+    Kinematics,
+    ResetRequest,
+    RobotState,
+    make_driver,
+)
 from drivers.mujoco import FetchRobot, MujocoDriver
 from drivers.mujoco.robot import fetch_robot
 
@@ -240,6 +248,45 @@ def test_a_simulation_without_setpoints_is_held_where_it_is() -> None:
     driver.restore(foreign)
     driver.advance()
     np.testing.assert_allclose(driver.read().q, before.q, atol=1e-4)
+
+
+def test_a_simulation_whose_joints_were_moved_is_held_where_they_are() -> None:
+    driver = started("reach")
+    moved = driver.snapshot()
+    moved.qpos[moved.model.joint("robot0:shoulder_pan_joint").qposadr[0]] += 0.6
+    driver.restore(moved)
+    before = driver.read()
+    driver.advance()
+    np.testing.assert_allclose(driver.read().q, before.q, atol=1e-3)
+    moved.userdata[:] = np.nan
+    driver.restore(moved)
+    driver.advance()
+    np.testing.assert_allclose(driver.read().q, before.q, atol=1e-3)
+
+
+def test_a_simulation_of_motors_with_another_delay_is_not_restored() -> None:
+    with pytest.raises(InvalidRequest, match="nuserdata is"):
+        started("reach").restore(started("reach", arm={"delay_ticks": 2}).snapshot())
+
+
+def test_fingers_are_guarded_where_they_are_when_open() -> None:
+    driver = started("pick_and_place")
+    kinematics = Kinematics(driver.spec)
+    points = kinematics.guarded_points(np.array(driver.spec.home.q))[1:]
+    tips = points[kinematics.guard_radii < 1e-3]
+    data = driver.snapshot()
+    for finger in ("robot0:r_gripper_finger_joint", "robot0:l_gripper_finger_joint"):
+        data.qpos[data.model.joint(finger).qposadr[0]] = 0.05
+    mujoco.mj_kinematics(data.model, data)
+    for finger in ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link"):
+        geom = data.geom(finger)
+        corners = np.array(np.meshgrid([0.0385], [-0.007, 0.007], [-0.0135, 0.0135])).T.reshape(
+            -1, 3
+        )
+        outer = corners @ geom.xmat.reshape(3, 3).T + geom.xpos
+        nearest = np.linalg.norm(outer[:, None] - tips[None], axis=-1).min(axis=1)
+        assert nearest.max() < 0.02, "two corners are guarded, the others are a finger's width away"
+        assert np.sort(nearest)[1] < 1e-3
 
 
 def test_home_is_off_the_table_where_the_reference_presses_on_it() -> None:
