@@ -75,11 +75,10 @@ class DisplacementLimit:
                 low = middle
         return low * delta_pos
 
-    def _broken(self, ee_pos: Array, delta_pos: Array) -> tuple[Clip, ...]:
+    def _broken(self, ee_pos: Array, delta_pos: Array) -> list[Clip]:
         now = self._region.depths(ee_pos[None], _NO_GUARDS)
         then = self._region.depths((ee_pos + delta_pos)[None], _NO_GUARDS)
-        # Outside already: not further out, so that the way back is open.
-        return tuple(name for name, depth in then.items() if depth > max(0.0, now[name]))
+        return self._region.exceeded(then, now, slack=0.0)
 
 
 def _shrink(delta: Array, limit: float) -> Array:

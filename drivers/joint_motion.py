@@ -119,7 +119,7 @@ class JointMotion:
         if excess > 1.0 + _ROUNDING:
             reasons.append(Clip.JOINT_ACCELERATION)
             dq = start.dq + change / excess
-        allowed = np.maximum(0.0, list(self._depths(start.q).values()))
+        allowed = self._depths(start.q)
         broken = self._broken(dq, start, allowed, scale)
         if not broken:
             return dq
@@ -135,7 +135,7 @@ class JointMotion:
         return braked + low * (dq - braked)
 
     def _broken(
-        self, dq: Array, start: JointSetpoint, allowed: Array, scale: float
+        self, dq: Array, start: JointSetpoint, allowed: dict[Clip, Array], scale: float
     ) -> tuple[Clip, ...]:
         """Name the limits that a tick ending at `dq`, and braking after it, would break."""
         q = self._end(start, dq)
@@ -149,14 +149,14 @@ class JointMotion:
         speed = float(np.linalg.norm(self._kinematics.ee_jacobian(q) @ dq))
         if speed > self._ee_speed * scale * (1.0 + _ROUNDING):
             broken.append(Clip.EE_SPEED)
-        # No further from point to point than the arm gets in a tick.
-        for share in np.linspace(0.0, 1.0, 1 + max(_FEWEST_POINTS, ticks)):
-            depths = self._depths(q + share * (rest - q))
-            exceeded = zip(depths.items(), allowed, strict=True)
-            broken.extend(name for (name, depth), most in exceeded if depth > most + _ROUNDING)
+        # Half-way through the tick, and then no further from point to point than in a tick.
+        half_way = start.q + (3.0 * start.dq + dq) / 8.0 * self._period_s
+        shares = np.linspace(0.0, 1.0, 1 + max(_FEWEST_POINTS, ticks))
+        for point in (half_way, *(q + share * (rest - q) for share in shares)):
+            broken += self._region.exceeded(self._depths(point), allowed, slack=_ROUNDING)
         return tuple(dict.fromkeys(broken))
 
-    def _depths(self, q: Array) -> dict[Clip, float]:
+    def _depths(self, q: Array) -> dict[Clip, Array]:
         points = self._kinematics.guarded_points(q)
         return self._region.depths(points, self._kinematics.guard_radii)
 

@@ -20,23 +20,36 @@ class Region:
         self._centres = [(np.add(box.lower, box.upper) / 2.0) for box in limits.keep_out]
         self._halves = [(np.subtract(box.upper, box.lower) / 2.0) for box in limits.keep_out]
 
-    def depths(self, points: Array, radii: Array) -> dict[Clip, float]:
-        """Return how far a limit is exceeded, m; 0 and less is allowed.
+    def depths(self, points: Array, radii: Array) -> dict[Clip, Array]:
+        """Return how far each limit is exceeded, m; 0 and less is allowed.
 
         Args:
             points: The end effector, then centres of guarded spheres. ``(1 + n_guards, 3)``
             radii: Of the guarded spheres, m. ``(n_guards,)``
 
         Returns:
-            Depth by reason.
+            By reason, a depth for each side of the workspace, and for each box and point.
         """
-        ee_pos = points[0]
-        outside = max((self._lower - ee_pos).max(), (ee_pos - self._upper).max())
+        outside = np.concatenate([self._lower - points[0], points[0] - self._upper])
         sizes = np.concatenate([[0.0], radii])
-        inside = -np.inf
+        inside = [np.zeros(0)]
         for centre, half in zip(self._centres, self._halves, strict=True):
             beyond = np.abs(points - centre) - half
             distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-            distance += np.minimum(beyond.max(axis=-1), 0.0)
-            inside = max(inside, float((sizes - distance).max()))
-        return {Clip.WORKSPACE: float(outside), Clip.KEEP_OUT: inside}
+            inside.append(sizes - distance - np.minimum(beyond.max(axis=-1), 0.0))
+        return {Clip.WORKSPACE: outside, Clip.KEEP_OUT: np.concatenate(inside)}
+
+    @staticmethod
+    def exceeded(depths: dict[Clip, Array], allowed: dict[Clip, Array], slack: float) -> list[Clip]:
+        """Name the limits that are exceeded by more than they are already.
+
+        Args:
+            depths: Somewhere, as from `depths`.
+            allowed: Where a motion starts: what is outside there may stay, but no further out.
+            slack: For rounding, m.
+        """
+        return [
+            reason
+            for reason, depth in depths.items()
+            if (depth > np.maximum(allowed[reason], 0.0) + slack).any()
+        ]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from importlib.metadata import entry_points
 from typing import Protocol, cast
 
 from drivers.driver import RobotDriver
-from drivers.errors import UnknownDriver
+from drivers.errors import InvalidSpec, UnknownDriver
 from drivers.names import unknown
 
 GROUP = "iher_robot.drivers"
@@ -54,10 +55,15 @@ def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:
 
     Raises:
         UnknownDriver: If there is no such name.
+        InvalidSpec: If the driver does not take these options.
     """
     targets = driver_targets()
     if name not in targets:
         raise UnknownDriver(unknown("driver", name, targets))
     module, _, attribute = targets[name].partition(":")
     factory = cast(DriverFactory, getattr(importlib.import_module(module), attribute))
+    try:
+        inspect.signature(factory).bind(scene=scene, **options)
+    except TypeError as error:
+        raise InvalidSpec(f"driver {name!r} takes no such options: {error}") from error
     return factory(scene=scene, **options)

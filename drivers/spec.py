@@ -124,6 +124,14 @@ class RobotSpec:
         check_positive("control_period_s", self.control_period_s)
         if not self.command_kinds:
             raise InvalidSpec(f"{self.name} declares no command kind, at least one is needed")
+        tick_m = self.limits.max_ee_speed_m_s * self.control_period_s
+        for box in self.limits.keep_out:
+            thinnest = min(high - low for low, high in zip(box.lower, box.upper, strict=True))
+            if thinnest < tick_m < float("inf"):
+                raise InvalidSpec(
+                    f"{self.name} keeps out of a box that is {thinnest} m thick, allowed: "
+                    f"{tick_m} m or more, which the end effector moves in a tick; make it thicker"
+                )
         if self.hold_on_silence_s is not None:
             check_positive("hold_on_silence_s", self.hold_on_silence_s)
         elif self.physical:

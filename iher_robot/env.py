@@ -54,10 +54,11 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
 
     - ``is_success``: 1.0 if the goal is reached, else 0.0.
     - ``action_applied``: The action that was really applied; learn from this one. It is
-      the requested one, cut to [-1, 1], wherever the robot clipped nothing.
+      the requested one, cut to [-1, 1], wherever nothing was clipped.
     - ``tick_valid``: Whether the tick may be learned from. A tick that was held, dropped or
       late is charged to the budget (``ticks``) and may not.
-    - ``clipped``: Why the robot clipped the command.
+    - ``clipped``: Why the robot clipped the command, or ``"controller"`` where the controller
+      could not ask it for all of the action.
     - ``refusal``: Why the command was refused, ``"no_solution"`` where the controller found
       none, or None.
 
@@ -259,6 +260,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         acceptance = None
         try:
             acceptance = self.driver.command(self.controller.command(requested, before))
+            self._held_because = ""
         except NoSolution as error:
             self._held_because = str(error)  # a tick without a command: the robot holds
         self.driver.advance()

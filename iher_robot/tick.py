@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from drivers import Acceptance, RobotState
 from iher_robot.controller import Controller
 
+CONTROLLER = "controller"
+"""What is reported as clipped where kinematics or the workspace let the controller ask for less."""
+
 NO_SOLUTION = "no_solution"
 """What is reported as refusal where the controller found no command to send."""
 
@@ -24,7 +27,8 @@ class Tick:
         valid: Whether it may be learned from: the command answered the state before, was in
             force in this very tick, and no tick is missing in between.
         elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
-        clipped: Why the robot clipped the command.
+        clipped: Why the robot clipped the command, or ``"controller"`` where the controller
+            could not ask it for all of the action.
         acceptance: What the robot said to the command, None if there was no command.
     """
 
@@ -66,6 +70,9 @@ def judge_tick(
     action = np.asarray(requested, dtype=np.float32)
     if applied is None or applied.tick != after.seq or elapsed < 1:
         return Tick(np.zeros_like(action), False, max(1, elapsed), (), acceptance)
-    action = controller.applied_action(action, applied, before)
+    asked, action = action, controller.applied_action(action, applied, before)
+    clipped = applied.clipped
+    if not clipped and (action != asked).any():
+        clipped = (CONTROLLER,)
     valid = elapsed == 1 and applied.command.answers == before.seq
-    return Tick(action, valid, elapsed, applied.clipped, acceptance)
+    return Tick(action, valid, elapsed, clipped, acceptance)

@@ -22,13 +22,13 @@ class _Section(BaseModel):
 class ArmParameters(_Section):
     """Motors of torso and arm; joint actuation only."""
 
-    kp: float = Field(default=1e5, gt=0)
+    kp: float = Field(default=1e5, ge=1e3, le=1e6)
     """Stiffness of the position control, Nm/rad and N/m."""
-    damping_ratio: float = Field(default=1.0, gt=0, le=10)
+    damping_ratio: float = Field(default=1.0, ge=0.1, le=10)
     """Damping of the position control; 1 is critical."""
-    joint_damping: float = Field(default=50.0, ge=0)
+    joint_damping: float = Field(default=50.0, ge=0, le=1e4)
     """Viscous friction of each arm joint, Nm s/rad."""
-    acceleration_scale: float = Field(default=1.0, gt=0, le=1)
+    acceleration_scale: float = Field(default=1.0, ge=0.05, le=1)
     """Share of the accelerations in the robot's description that is allowed."""
     delay_ticks: int = Field(default=0, ge=0, le=10)
     """Control ticks from a setpoint to the motors' following it."""
@@ -37,33 +37,33 @@ class ArmParameters(_Section):
 class GripperParameters(_Section):
     """Motors of the fingers; joint actuation only."""
 
-    kp: float = Field(default=3e4, gt=0)
+    kp: float = Field(default=3e4, ge=1e3, le=1e5)
     """Stiffness of the position control, N/m."""
-    max_force_n: float = Field(default=60.0, gt=0)
+    max_force_n: float = Field(default=60.0, ge=1, le=1e3)
     """Greatest force of a finger."""
 
 
 class ObjectParameters(_Section):
     """The object on the table."""
 
-    mass_scale: float = Field(default=1.0, gt=0, le=100)
+    mass_scale: float = Field(default=1.0, ge=0.01, le=100)
     """Its mass, as a multiple of the scene's."""
-    friction_scale: float = Field(default=1.0, gt=0, le=100)
+    friction_scale: float = Field(default=1.0, ge=0.01, le=100)
     """Sliding friction of object and table, as a multiple of the scene's."""
 
 
 class SensorParameters(_Section):
     """What is measured how well. Noise is normal, independent in each tick and axis."""
 
-    joint_noise: float = Field(default=0.0, ge=0)
+    joint_noise: float = Field(default=0.0, ge=0, le=0.1)
     """Standard deviation of joint positions, rad and m."""
-    joint_velocity_noise: float = Field(default=0.0, ge=0)
+    joint_velocity_noise: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of joint velocities, rad/s and m/s."""
-    object_noise_m: float = Field(default=0.0, ge=0)
+    object_noise_m: float = Field(default=0.0, ge=0, le=0.1)
     """Standard deviation of the object's position."""
-    object_turn_noise: float = Field(default=0.0, ge=0)
+    object_turn_noise: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of the object's orientation about each axis, rad."""
-    object_rate_hz: float | None = Field(default=None, gt=0)
+    object_rate_hz: float | None = Field(default=None, ge=1, le=1e3)
     """Pictures a second of the camera that sees the object; none for one in each tick."""
     object_delay_s: float = Field(default=0.0, ge=0, le=1)
     """Time from a picture to the pose seen in it."""
@@ -108,4 +108,7 @@ def _sentence(path: tuple[str, ...], kind: str, reason: str, value: object) -> s
         assert isinstance(section, type)
         assert issubclass(section, BaseModel)
         return unknown("robot setting", path[-1], section.model_fields)
+    if kind == "model_type":
+        keys = ", ".join(type(getattr(FetchRobot(), key)).model_fields)
+        return f"robot setting {key} is {value!r}, allowed: a section with the keys {keys}"
     return f"robot setting {key} is {value!r}: {reason[0].lower()}{reason[1:]}"

@@ -12,7 +12,8 @@ import pytest
 pytest.register_assert_rewrite(
     *(
         f"{__name__}.{module}"
-        for module in "commands excess lifecycle resets states stopping suite ticks".split()
+        for module in ("commands", "excess", "following", "lifecycle", "resets")
+        + ("states", "stopping", "suite", "ticks")
     )
 )
 

@@ -128,20 +128,29 @@ class JointSamples(CommandSamples):
     """Of the joint's greatest velocity."""
     acceleration_share = 0.5
 
-    def small(self, state: RobotState, sign: float = 1.0) -> JointCommand:
-        """Return one tick of a gentle motion of the first joint."""
+    def small(self, state: RobotState, sign: float = 1.0, joint: int = 0) -> JointCommand:
+        """Return one tick of a gentle motion of one joint."""
         setpoint = state.setpoint
-        limits = next(iter(self.spec.limits.joints.values()))
+        limits = list(self.spec.limits.joints.values())[joint]
         assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
         period_s = self.spec.control_period_s
         # Up, unless it stands high: 0.75 is far from where either way could end in a few ticks.
-        high = setpoint.q[0] > limits.lower + 0.75 * (limits.upper - limits.lower)
+        high = setpoint.q[joint] > limits.lower + 0.75 * (limits.upper - limits.lower)
         goal = (-sign if high else sign) * self.speed_share * limits.max_velocity
         change = self.acceleration_share * limits.max_acceleration * period_s
         dq = np.zeros_like(setpoint.dq)
-        dq[0] = setpoint.dq[0] + np.clip(goal - setpoint.dq[0], -change, change)
+        dq[joint] = setpoint.dq[joint] + np.clip(goal - setpoint.dq[joint], -change, change)
         q_target = setpoint.q + (setpoint.dq + dq) / 2.0 * period_s
         return JointCommand(state.seq, q_target, dq, period_s, setpoint.fingers.copy())
+
+    def still(self, state: RobotState) -> JointCommand:
+        """Return a command to stay where the motors are asked to be."""
+        setpoint = state.setpoint
+        assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
+        still = np.zeros_like(setpoint.dq)
+        return JointCommand(
+            state.seq, setpoint.q, still, self.spec.control_period_s, setpoint.fingers
+        )
 
     def excessive(
         self, state: RobotState, rng: np.random.Generator, sign: float = 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from iher_robot.testing.commands import CommandTests
 from iher_robot.testing.excess import ExcessTests
+from iher_robot.testing.following import FollowingTests
 from iher_robot.testing.lifecycle import LifecycleTests
 from iher_robot.testing.resets import ResetTests
 from iher_robot.testing.states import StateTests
@@ -12,7 +13,14 @@ from iher_robot.testing.ticks import TickTests
 
 
 class DriverContract(
-    LifecycleTests, StopTests, TickTests, StateTests, CommandTests, ExcessTests, ResetTests
+    LifecycleTests,
+    StopTests,
+    TickTests,
+    StateTests,
+    CommandTests,
+    FollowingTests,
+    ExcessTests,
+    ResetTests,
 ):
     """Tests that every driver passes unchanged.
 

@@ -57,6 +57,27 @@ class OvershootsItsSetpoint(LineRobot):
         return dataclasses.replace(state, dq=state.dq * 3.0)
 
 
+class SwapsTwoMotors(LineRobot):
+    def _read(self) -> RobotState:
+        state = super()._read()
+        swapped = [0, 2, 1]
+        q, dq = state.q[swapped].copy(), state.dq[swapped].copy()
+        return dataclasses.replace(state, q=q, dq=dq, ee_pos=q, ee_linvel=dq)
+
+
+class MeasuresNoSpeed(LineRobot):
+    def _read(self) -> RobotState:
+        return dataclasses.replace(super()._read(), dq=np.zeros(3))
+
+
+class OpensItsFingersWhenHeld(LineRobot):
+    def _advance(self) -> None:
+        held = self._pending is None
+        super()._advance()
+        if held:
+            self._setpoint = dataclasses.replace(self._setpoint, fingers=np.full(2, 0.05))
+
+
 class GoesTheOtherWay(LineRobot):
     def _read(self) -> RobotState:
         state = super()._read()

@@ -121,6 +121,13 @@ def run_test(make: Callable[[], RobotDriver], name: str, **parameters: str) -> N
             "excessive_commands_stay_within_every_limit_and_are_reported",
             "joint . moves at",
         ),
+        (gantries.SwapsTwoMotors, "each_joint_goes_where_its_setpoint_is", "where its setpoint is"),
+        (gantries.MeasuresNoSpeed, "each_joint_goes_where_its_setpoint_is", "add up to its way"),
+        (
+            gantries.OpensItsFingersWhenHeld,
+            "fingers_go_where_they_are_told_and_stay",
+            "a held tick leaves the fingers alone",
+        ),
         (gantries.TakesTheFirstCommandOfATick, "the_last_command_of_a_tick_counts", "q_target"),
     ],
 )

@@ -80,11 +80,17 @@ def test_the_worn_robot_differs_in_everything_physical() -> None:
         ({"actuation": "mocup"}, "robot setting actuation is 'mocup': input should be 'joint' or"),
         ({"arms": {}}, "unknown robot setting 'arms', valid: .*; did you mean 'arm'"),
         ({"arm": {"kq": 1.0}}, "unknown robot setting 'kq', valid: .*kp"),
-        ({"arm": {"kp": -1.0}}, r"robot setting arm\.kp is -1\.0: .* greater than 0"),
+        (
+            {"arm": {"kp": -1.0}},
+            r"robot setting arm\.kp is -1\.0: .* greater than or equal to 1000",
+        ),
         ({"arm": {"kp": float("nan")}}, r"robot setting arm\.kp is nan"),
         ({"arm": {"delay_ticks": 1.5}}, r"arm\.delay_ticks is 1\.5"),
         ({"object": {"mass_scale": "heavy"}}, r"object\.mass_scale is 'heavy'"),
-        ({"sensors": 3}, "robot setting sensors is 3"),
+        (
+            {"sensors": 3},
+            "robot setting sensors is 3, allowed: a section with the keys joint_noise,",
+        ),
         ({"sensors": {"object_rate_hz": 0.0}}, r"sensors\.object_rate_hz is 0\.0"),
     ],
 )

@@ -71,7 +71,7 @@ def step(
 def depths(q: Array) -> Array:
     points = kinematics().guarded_points(q)
     found = Region(spec().limits).depths(points, kinematics().guard_radii)
-    return np.array(list(found.values()))
+    return np.concatenate(list(found.values()))
 
 
 def assert_within_limits(start: JointSetpoint, end: JointSetpoint) -> None:

@@ -179,7 +179,7 @@ def check(before: RobotState, after: RobotState) -> None:
     assert np.linalg.norm(after.ee_linvel) <= spec.limits.max_ee_speed_m_s + SLACK_SPEED
     points = kinematics().guarded_points(after.q)
     depths = Region(spec.limits).depths(points, kinematics().guard_radii)
-    assert max(depths.values()) <= SLACK_M
+    assert np.concatenate(list(depths.values())).max() <= SLACK_M
     applied = after.applied
     if applied is not None and applied.tick == after.seq:
         assert isinstance(applied.command, JointCommand)
