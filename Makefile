@@ -1,3 +1,4 @@
+# make install                        .venv with iher-robot in it, and nothing else
 # make train                          learn Push on the simulated robot
 # make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
 # make test                           the test suite; ARGS="-k name" selects
@@ -16,10 +17,12 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train test check bench format clean
+.PHONY: train install test check bench format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
+
+install: .venv/runtime
 
 # One thread a worker: two workers whose torch also takes both cores slow each other down.
 test: .venv/dev

@@ -9,13 +9,8 @@ from __future__ import annotations
 import pytest
 
 # Before the modules are imported: a failing assert then shows the values in it.
-pytest.register_assert_rewrite(
-    *(
-        f"{__name__}.{module}"
-        for module in ("commands", "excess", "following", "lifecycle", "resets")
-        + ("states", "stopping", "suite", "ticks")
-    )
-)
+_TESTS = "commands excess following lifecycle resets states stopping suite ticks"
+pytest.register_assert_rewrite(*(f"{__name__}.{module}" for module in _TESTS.split()))
 
 from iher_robot.testing.command_samples import (  # noqa: E402
     CommandSamples,
