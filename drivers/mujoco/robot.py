@@ -107,7 +107,9 @@ def _sentence(path: tuple[str, ...], kind: str, reason: str, value: object) -> s
         section = FetchRobot.model_fields[path[0]].annotation if len(path) > 1 else FetchRobot
         assert isinstance(section, type)
         assert issubclass(section, BaseModel)
-        return unknown("robot setting", path[-1], section.model_fields)
+        return unknown(
+            "robot setting", key, [".".join((*path[:-1], n)) for n in section.model_fields]
+        )
     if kind == "model_type":
         keys = ", ".join(type(getattr(FetchRobot(), key)).model_fields)
         return f"robot setting {key} is {value!r}, allowed: a section with the keys {keys}"

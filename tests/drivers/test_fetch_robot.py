@@ -79,7 +79,10 @@ def test_the_worn_robot_differs_in_everything_physical() -> None:
     [
         ({"actuation": "mocup"}, "robot setting actuation is 'mocup': input should be 'joint' or"),
         ({"arms": {}}, "unknown robot setting 'arms', valid: .*; did you mean 'arm'"),
-        ({"arm": {"kq": 1.0}}, "unknown robot setting 'kq', valid: .*kp"),
+        (
+            {"arm": {"kq": 1.0}},
+            r"unknown robot setting 'arm\.kq', valid: .*; did you mean 'arm\.kp'",
+        ),
         (
             {"arm": {"kp": -1.0}},
             r"robot setting arm\.kp is -1\.0: .* greater than or equal to 1000",
