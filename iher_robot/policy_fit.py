@@ -77,11 +77,11 @@ def check_fit(
             if not spec.physical:
                 advice += f", or run it all the same with {ACCEPT_INTERFACE}"
             raise UserError(
-                f"the policy was trained for another interface: {spec.name} has "
+                f"{spec.name} has another interface than the policy was trained for: "
                 f"{'; '.join(changed)}; {advice}"
             )
         found += [
-            f"the policy was trained for another interface: {spec.name} has {difference}"
+            f"{spec.name} has another interface than the policy was trained for: {difference}"
             for difference in changed
         ]
     if env.action_space.shape != (actor.policy.shapes.action_dim,):
