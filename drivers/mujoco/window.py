@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import threading
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol
@@ -44,8 +45,13 @@ def launch_passive(model: mujoco.MjModel, data: mujoco.MjData) -> Handle:
         CannotRender: If no window opens here.
     """
     try:
+        import glfw
         from mujoco import viewer  # only here: it loads a window system
 
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if not glfw.init():  # the viewer would end the whole process
+                raise CannotRender("the display that DISPLAY names does not answer; set it right")
         handle: Handle = viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     except (ImportError, RuntimeError, mujoco.FatalError) as error:
         raise CannotRender(f"MuJoCo's viewer opens no window here: {in_a_line(error)}") from error
