@@ -8,7 +8,7 @@ from typing import Any
 from iher_robot.torch_file import load_torch_file, save_torch_file
 
 KIND = "checkpoint"
-VERSION = 1
+VERSION = 2
 
 
 def save_checkpoint(path: Path, *, learner: dict[str, Any], run: dict[str, Any]) -> None:
@@ -37,4 +37,6 @@ def load_checkpoint(path: Path) -> dict[str, Any] | None:
     Raises:
         UserError: It is damaged, or of another version.
     """
-    return load_torch_file(path, kind=KIND, version=VERSION) if path.exists() else None
+    if not path.exists():
+        return None
+    return load_torch_file(path, kind=KIND, version=VERSION, oldest=VERSION)

@@ -9,10 +9,10 @@ import torch
 from numpy.typing import NDArray
 
 from iher_robot.env import EpisodeAborted, GoalRobotEnv, Observation
-from iher_robot.learning.config import ExplorationConfig
 from iher_robot.learning.episode import Episode
+from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.goal_model import IMAGINED, REAL
-from iher_robot.learning.policy import Policy, explore
+from iher_robot.learning.policy import Policy
 
 Array = NDArray[np.floating]
 
@@ -110,11 +110,12 @@ def choose_action(policy: Policy, observation: Observation, source: int) -> torc
     Returns:
         ``(1, action_dim)``
     """
-    return policy.act(
-        torch.as_tensor(observation["observation"], dtype=torch.float32).unsqueeze(0),
-        torch.as_tensor(observation["desired_goal"], dtype=torch.float32).unsqueeze(0),
-        torch.tensor([source]),
-    )
+    goal = _row(observation["desired_goal"])
+    return policy.act(_row(observation["observation"]), goal, torch.tensor([source]))
+
+
+def _row(values: Array) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=torch.float32).unsqueeze(0)
 
 
 def run_episode(
@@ -124,7 +125,7 @@ def run_episode(
     *,
     seed: int,
     ticks: int,
-    exploration: ExplorationConfig | None = None,
+    explorer: Explorer | None = None,
 ) -> None:
     """Run one episode; the robot is left held and disarmed however it ends.
 
@@ -134,18 +135,20 @@ def run_episode(
         recorder: Takes every tick; the caller has it also when this raises.
         seed: Decides start, goal and noise.
         ticks: Most ticks to run.
-        exploration: Noise on the actions, or None for none.
+        explorer: Disturbs the actions; None leaves them as they are.
     """
     generator = torch.Generator().manual_seed(seed)
-    if exploration is not None and torch.rand((), generator=generator) < exploration.source_flip:
-        recorder.told_source = IMAGINED
+    if explorer is not None:
+        explorer.begin()
+        if torch.rand((), generator=generator) < explorer.config.source_flip:
+            recorder.told_source = IMAGINED
     try:
         observation, _ = env.reset(seed=seed)
         recorder.start(observation)
         while recorder.ticks < ticks:
             action = choose_action(policy, observation, recorder.told_source)
-            if exploration is not None:
-                action = explore(action, exploration, generator)
+            if explorer is not None:
+                action = explorer.act(_row(observation["observation"]), action, generator)
             observation = recorder.step(env, action[0].numpy())
     except EpisodeAborted:
         recorder.success = False  # what was recorded until then is kept, and learned from

@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from iher_robot.chosen_robot import ChosenRobot, choose_robot
 from iher_robot.config_keys import Keys
@@ -23,7 +23,7 @@ from iher_robot.config_source import (
 )
 from iher_robot.durable_file import read_file
 from iher_robot.errors import UserError
-from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.config import OR_OFF, LearnerConfig
 from iher_robot.yaml_text import format_yaml, parse_mapping
 
 _CHOSEN = {
@@ -46,6 +46,8 @@ class EvaluationConfig(_Section):
     """Epochs from one evaluation to the next."""
     episodes: int = Field(default=40, ge=1)
     """Episodes of one evaluation."""
+    final_episodes: int = Field(default=100, ge=0)
+    """Fresh episodes for the policy that a run ends with, in simulation; 0 for none."""
 
 
 class RunConfig(_Section):
@@ -72,15 +74,10 @@ class RunConfig(_Section):
     for a busy one costs most of the speed."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
-    until_success: float | None = Field(default=1.0, gt=0, le=1)
+    until_success: Annotated[float | None, OR_OFF] = Field(default=1.0, gt=0, le=1)
     """Stop early at this success rate; ``off`` spends the whole budget."""
     evaluation: EvaluationConfig = EvaluationConfig()
     learner: LearnerConfig = LearnerConfig()
-
-    @field_validator("until_success", mode="before")
-    @classmethod
-    def _off_is_none(cls, value: object) -> object:
-        return None if isinstance(value, str) and value.lower() == "off" else value
 
     @property
     def chosen_robot(self) -> ChosenRobot:

@@ -59,14 +59,18 @@ class EvaluationResult:
         """Share of successful episodes."""
         return self.successes / self.episodes
 
+    @property
+    def rate(self) -> str:
+        """The success rate with its 95 % interval (Wilson)."""
+        interval = binomtest(self.successes, self.episodes).proportion_ci(method="wilson")
+        return f"{self.success_rate:.0%} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+
     def summary(self) -> str:
         """The result in a few lines."""
-        interval = binomtest(self.successes, self.episodes).proportion_ci(method="wilson")
         lines = [f"warning: {warning}" for warning in self.warnings]
         lines.append(
             f"{self.task} in {self.environment}: {self.successes} of {self.episodes} episodes "
-            f"succeeded, {self.success_rate:.0%} "
-            f"(95 % interval {interval.low:.0%} to {interval.high:.0%})"
+            f"succeeded, {self.rate}"
         )
         if self.video is not None:
             filmed = min(self.episodes, FILMED_EPISODES)

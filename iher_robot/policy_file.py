@@ -15,7 +15,7 @@ from iher_robot.errors import UserError
 from iher_robot.torch_file import load_torch_file, save_torch_file
 
 KIND = "policy"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)

@@ -34,19 +34,20 @@ def save_torch_file(path: Path, content: dict[str, Any], *, kind: str, version: 
     write_atomically(path, lambda file: file.write(sealed))
 
 
-def load_torch_file(path: Path, *, kind: str, version: int) -> dict[str, Any]:
+def load_torch_file(path: Path, *, kind: str, version: int, oldest: int = 1) -> dict[str, Any]:
     """Read what ``save_torch_file`` wrote, onto the CPU.
 
     Args:
         path: The file.
         kind: What it should be.
         version: The newest version that can be read.
+        oldest: The oldest one.
 
     Returns:
         The content, with ``format`` and ``version``.
 
     Raises:
-        UserError: The file is missing, truncated, damaged, foreign or of a newer version.
+        UserError: The file is missing, truncated, damaged, foreign, or of another version.
     """
     sealed = read_file(path, f"{kind} file")
     check_seal(sealed, path, f"{kind} file")
@@ -72,5 +73,10 @@ def load_torch_file(path: Path, *, kind: str, version: int) -> dict[str, Any]:
     if found > version:
         raise UserError(
             f"{path} has {kind} format {found}, this iher-robot reads up to {version}; update it"
+        )
+    if found < oldest:
+        raise UserError(
+            f"{path} has {kind} format {found}, this iher-robot reads {oldest} to {version}; use "
+            "the iher-robot that wrote it"
         )
     return content

@@ -14,9 +14,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from iher_robot.callable_module import make_module_callable
 from iher_robot.chosen_robot import DEFAULT_DRIVER, ChosenRobot
-from iher_robot.config import RunConfig, dump_config, load_config, read_config
+from iher_robot.config import dump_config, load_config, read_config
 from iher_robot.display import TrainingDisplay
-from iher_robot.evaluate import evaluate_on
+from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
 from iher_robot.ledger import Ledger
 from iher_robot.policy_fit import load_actor
 from iher_robot.provenance import collect_provenance
@@ -26,9 +26,6 @@ from iher_robot.video import require_film
 from iher_robot.workcell import Workcell, open_workcell
 from tasks import canonical_name
 
-FILMED_EPISODES = 5
-"""Episodes of the final policy that a film shows."""
-
 
 @dataclass(frozen=True)
 class TrainResult:
@@ -37,7 +34,8 @@ class TrainResult:
     Attributes:
         directory: The run folder.
         policy: The policy file.
-        success_rate: Success of the last evaluation.
+        success_rate: Success of the last evaluation while training.
+        final: What the policy did over fresh episodes in the end; None on a physical robot.
         robot_minutes: Robot minutes spent.
         budget_minutes: Robot minutes granted.
         wall_seconds: Wall-clock time, interruptions left out.
@@ -50,6 +48,7 @@ class TrainResult:
     directory: Path
     policy: Path
     success_rate: float
+    final: EvaluationResult | None
     robot_minutes: float
     budget_minutes: float
     wall_seconds: float
@@ -63,8 +62,12 @@ class TrainResult:
         epochs = "epoch" if self.epochs == 1 else "epochs"
         wall = datetime.timedelta(seconds=round(self.wall_seconds))
         film = "" if self.video is None else f"video   {self.video}\n"
+        if self.final is None:
+            result = f"{self.success_rate:.0%} success in the last evaluation"
+        else:
+            result = f"success in {self.final.episodes} fresh episodes: {self.final.rate}"
         return (
-            f"{self.success_rate:.0%} success in the last evaluation, after "
+            f"{result}, after "
             f"{self.robot_minutes:.2f} of {self.budget_minutes:g} robot minutes, "
             f"{self.epochs} {epochs}, {wall} of wall clock\n"
             f"policy  {self.policy}\n"
@@ -172,31 +175,36 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
-    film = _film(config, directory) if video else None
+    final = _final_evaluation(cell, directory, video=video)
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
         success_rate=last["success"],
+        final=final,
         robot_minutes=last["robot_minutes"],
         budget_minutes=config.budget_minutes,
         wall_seconds=last["wall_seconds"],
         epochs=int(last["epoch"]),
         plot=directory.plot_path,
         robot=config.chosen_robot,
-        video=film,
+        video=None if final is None else final.video,
     )
 
 
-def _film(config: RunConfig, directory: RunDirectory) -> Path:
-    result = evaluate_on(
+def _final_evaluation(
+    cell: Workcell, directory: RunDirectory, *, video: bool
+) -> EvaluationResult | None:
+    config = cell.config
+    episodes = config.evaluation.final_episodes or (FILMED_EPISODES if video else 0)
+    if cell.simulator is None or not episodes:
+        return None
+    return evaluate_on(
         config.chosen_robot,
         load_actor(directory.policy_path),
-        episodes=FILMED_EPISODES,
+        episodes=episodes,
         seed=config.seed,
-        video=directory.film_path,
+        video=directory.film_path if video else None,
     )
-    assert result.video is not None
-    return result.video
 
 
 make_module_callable(__name__)

@@ -17,9 +17,9 @@ from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.evaluation import run_evaluation
-from iher_robot.learning.config import ExplorationConfig
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
+from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Account, Budget, Entry, Ledger
 from iher_robot.plot import plot_success
@@ -134,6 +134,7 @@ class TrainingRun:
         """Collect the epoch's real episodes, as far as the budget goes."""
         wanted = self.config.learner.schedule.real_episodes
         policy = Policy.from_snapshot(self.learner.policy.snapshot(), device=CPU)
+        explorer = self.learner.explorer(CPU)
         while len(self.pending) < wanted and not self._spent:
             self.display.phase("collect", len(self.pending), wanted)
             ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
@@ -144,7 +145,7 @@ class TrainingRun:
                 epoch=self.learner.epoch + 1,
                 seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
                 ticks=ticks,
-                exploration=self.config.learner.exploration,
+                explorer=explorer,
             )
             episode = recorder.episode()
             if episode is not None:  # counted as the store counts, or a resume would miss one
@@ -161,7 +162,7 @@ class TrainingRun:
         epoch: int,
         seed: int,
         ticks: int,
-        exploration: ExplorationConfig | None,
+        explorer: Explorer | None,
     ) -> Recorder:
         """Run an episode that is charged and kept, whatever ends it."""
         recorder = Recorder()
@@ -173,7 +174,7 @@ class TrainingRun:
                     recorder,
                     seed=seed,
                     ticks=ticks,
-                    exploration=exploration,
+                    explorer=explorer,
                 )
             finally:
                 episode = recorder.episode()
@@ -230,7 +231,7 @@ class TrainingRun:
                     epoch=self.learner.epoch,
                     seed=seed,
                     ticks=ticks,
-                    exploration=None,
+                    explorer=None,
                 )
             recorder = Recorder()
             run_episode(self.cell.simulator, policy, recorder, seed=seed, ticks=ticks)

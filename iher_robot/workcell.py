@@ -72,15 +72,27 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         simulator = None
         if not env.driver.spec.physical:
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
+        symmetry = env.task.symmetry
         shapes = Shapes(
             obs_dim=env.task.layout.obs_dim,
             goal_dim=env.task.goal_dim,
             action_dim=len(env.driver.spec.action.names),
             episode_ticks=env.task.episode_ticks,
+            goal_entries=env.task.goal_model.achieved_entries,
+            shifted_entries=() if symmetry is None else symmetry.shifted,
         )
-        learner = Learner(
-            shapes, env.task.goal_model, config.learner, seed=config.seed, device=device
-        )
+        try:
+            learner = Learner(
+                shapes,
+                env.task.goal_model,
+                config.learner,
+                seed=config.seed,
+                device=device,
+                symmetry=symmetry,
+                contact_model=env.task.contact_model,
+            )
+        except ValueError as error:
+            raise UserError(f"task {config.task!r}: {error}") from error
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
         yield Workcell(config, env, simulator, learner, ticks)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tasks.errors import InvalidFrame
 
+Vector2 = tuple[float, float]
 Vector3 = tuple[float, float, float]
 
 
@@ -27,6 +28,8 @@ class TaskFrame:
         air_height: Greatest height of those above the resting object, m.
         object_size: Half extents of the object, m.
         threshold: A goal is reached within this distance, m.
+        even_area: Lower and upper corner, around home in the plane, of the area in which it
+            makes no difference where gripper and object are, m.
     """
 
     home: Vector3 | None = None
@@ -39,6 +42,7 @@ class TaskFrame:
     air_height: float = 0.45
     object_size: Vector3 = (0.025, 0.025, 0.025)
     threshold: float = 0.05
+    even_area: tuple[Vector2, Vector2] = ((-0.27, -0.32), (0.17, 0.32))
 
     def __post_init__(self) -> None:
         for name in ("object_range", "goal_range", "threshold"):
@@ -49,6 +53,13 @@ class TaskFrame:
             raise InvalidFrame(f"air_probability is {self.air_probability}, allowed: 0 to 1")
         if not 0.0 <= self.air_height < math.inf:
             raise InvalidFrame(f"air_height is {self.air_height}, allowed: 0 or more, in metres")
+        lower, upper = self.even_area
+        if not all(
+            -math.inf < low < high < math.inf for low, high in zip(lower, upper, strict=True)
+        ):
+            raise InvalidFrame(
+                f"even_area is {self.even_area}, allowed: a lower and an upper corner, in metres"
+            )
         # Starts are drawn from a square until one is far enough: there must be some.
         if not 0.0 <= self.min_object_distance < self.object_range * math.sqrt(2.0):
             raise InvalidFrame(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tasks.arrays import ArrayT, FloatArray, square_root
+from tasks.errors import MissingObject
 from tasks.layout import ObservationLayout
 
 
@@ -35,6 +36,16 @@ class GoalModel(ABC):
         """Length of a goal."""
         return dict(self.layout.sizes)[self._achieved_entry]
 
+    @property
+    def achieved_entries(self) -> tuple[int, ...]:
+        """Entries of an observation that a goal is compared with."""
+        return self.layout.entries(self._achieved_entry)
+
+    @property
+    def effector_entries(self) -> tuple[int, ...]:
+        """Entries of an observation with the position of the end effector."""
+        return self.layout.entries(self.layout.effector)
+
     @abstractmethod
     def sample_goal(self, rng: np.random.Generator, start_obs: FloatArray) -> NDArray[np.float64]:
         """Draw a goal for each start.
@@ -57,6 +68,20 @@ class GoalModel(ABC):
             Goals, m, in the robot's frame. ``(..., goal_dim)``
         """
         return obs[..., self._achieved]
+
+    def effector_position(self, obs: ArrayT) -> ArrayT:
+        """Return where the end effector is, m, in the robot's frame. ``(..., 3)``"""
+        return obs[..., self.layout.slices[self.layout.effector]]
+
+    def object_position(self, obs: ArrayT) -> ArrayT:
+        """Return where the object is, m, in the robot's frame. ``(..., 3)``
+
+        Raises:
+            MissingObject: If the layout has none.
+        """
+        if self.layout.object_entry is None:
+            raise MissingObject(f"the layout {list(self.layout.names)} has no object")
+        return obs[..., self.layout.slices[self.layout.object_entry]]
 
     def distance(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
         """Return how far goals are apart, m. ``(...,)``"""

@@ -63,6 +63,10 @@ class ObservationLayout:
             start += size
         return found
 
+    def entries(self, name: str) -> tuple[int, ...]:
+        """Return where each number of an entry lies."""
+        return tuple(range(self.obs_dim)[self.slices[name]])
+
     def complete(self, obs: ArrayT) -> ArrayT:
         """Recompute the derived entries from those that they follow from.
 

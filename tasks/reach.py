@@ -12,6 +12,7 @@ from tasks.arrays import FloatArray
 from tasks.frame import TaskFrame, Vector3
 from tasks.goal_model import GoalModel
 from tasks.layout import ObservationLayout
+from tasks.symmetry import Kind
 from tasks.task import GoalTask
 
 
@@ -49,6 +50,12 @@ class Reach(GoalTask):
     layout = ObservationLayout(
         sizes=(("gripper_pos", 3), ("fingers_pos", 2), ("gripper_vel", 3), ("fingers_vel", 2)),
     )
+    kinds = {  # noqa: RUF012
+        "gripper_pos": Kind.POSITION,
+        "fingers_pos": Kind.FINGERS,
+        "gripper_vel": Kind.VECTOR,
+        "fingers_vel": Kind.FINGERS,
+    }
 
     def observation(self, state: RobotState) -> NDArray[np.float64]:
         """Return gripper and fingers, positions then velocities."""

@@ -12,9 +12,11 @@ class Slide(TabletopTask):
     name = "slide"
     scene = "slide"
     blocks_gripper = True
+    mirrors = ("y",)  # the goals lie ahead, never behind
     default_frame = TaskFrame(
         object_range=0.1,
         goal_range=0.3,
         goal_offset=(0.4, 0.0, 0.0),
         object_size=(0.025, 0.025, 0.02),
+        even_area=((-0.28, -0.4), (0.9, 0.4)),
     )

@@ -14,6 +14,7 @@ from tasks.frame import TaskFrame, Vector3
 from tasks.goal_model import GoalModel
 from tasks.layout import Difference, ObservationLayout
 from tasks.rotation import quat_to_euler
+from tasks.symmetry import Kind
 from tasks.task import GoalTask
 
 OBJECT = "object0"
@@ -33,6 +34,19 @@ OBJECT_LAYOUT = ObservationLayout(
     derived=(Difference("object_rel", minuend="object_pos", subtrahend="gripper_pos"),),
     object_entry="object_pos",
 )
+
+
+OBJECT_KINDS = {
+    "gripper_pos": Kind.POSITION,
+    "object_pos": Kind.POSITION,
+    "object_rel": Kind.VECTOR,
+    "fingers_pos": Kind.FINGERS,
+    "object_euler": Kind.AXIAL,
+    "object_rel_vel": Kind.VECTOR,
+    "object_angvel": Kind.AXIAL,
+    "gripper_vel": Kind.VECTOR,
+    "fingers_vel": Kind.FINGERS,
+}
 
 
 class TabletopGoals(GoalModel):
@@ -81,6 +95,7 @@ class TabletopTask(GoalTask):
     """A task whose goal is a place for one object."""
 
     layout = OBJECT_LAYOUT
+    kinds = OBJECT_KINDS
 
     def __init__(self, frame: TaskFrame | None = None, spec: RobotSpec | None = None) -> None:
         """Set the task up.

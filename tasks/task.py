@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -14,6 +15,7 @@ from tasks.errors import UnboundTask
 from tasks.frame import TaskFrame, Vector3
 from tasks.goal_model import GoalModel
 from tasks.layout import ObservationLayout
+from tasks.symmetry import Kind, Plane, PlaneSymmetry
 
 
 class GoalTask(ABC):
@@ -29,6 +31,8 @@ class GoalTask(ABC):
         episode_ticks: Control ticks of an episode.
         blocks_gripper: Whether the gripper stays as it is, whatever the policy asks.
         default_frame: Fetch's constants.
+        kinds: What each entry of its observations is, for `symmetry`; empty without one.
+        mirrors: Normals of the upright planes whose mirror images leave the task as it is.
     """
 
     name: ClassVar[str]
@@ -37,6 +41,8 @@ class GoalTask(ABC):
     episode_ticks: ClassVar[int] = 50
     blocks_gripper: ClassVar[bool]
     default_frame: ClassVar[TaskFrame]
+    kinds: ClassVar[Mapping[str, Kind]] = {}
+    mirrors: ClassVar[tuple[Plane, ...]] = ("x", "y")
 
     def __init__(self, frame: TaskFrame | None = None, spec: RobotSpec | None = None) -> None:
         """Set the task up.
@@ -89,6 +95,25 @@ class GoalTask(ABC):
     def goal_model(self) -> GoalModel:
         """Goals and rewards as pure functions of observations."""
         return self._make_goal_model()
+
+    @cached_property
+    def symmetry(self) -> PlaneSymmetry | None:
+        """Maps that leave dynamics and reward as they are; None where no kinds are declared.
+
+        Raises:
+            UnboundTask: If the task knows no robot yet.
+        """
+        if not self.kinds:
+            return None
+        (x_low, y_low), (x_high, y_high) = self.frame.even_area
+        x, y, _ = self.home
+        area = ((x + x_low, y + y_low), (x + x_high, y + y_high))
+        return PlaneSymmetry(self.layout, self.kinds, area=area, mirrors=self.mirrors)
+
+    @property
+    def contact_model(self) -> GoalModel | None:
+        """Where effector and object are; None without an object."""
+        return None if self.layout.object_entry is None else self.goal_model
 
     def is_success(self, achieved: NDArray[np.floating], desired: NDArray[np.floating]) -> bool:
         """Return whether one goal is reached.

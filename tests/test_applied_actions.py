@@ -51,8 +51,8 @@ def held_out_error_m(fitted: EpisodeReplay, unseen: EpisodeReplay) -> float:
     ensemble = DynamicsEnsemble(
         SHAPES, config, generator=torch.Generator().manual_seed(0), device=CPU
     )
-    ensemble.fit_normalizers(fitted)
     generator = torch.Generator().manual_seed(1)
+    ensemble.fit_normalizers(fitted, generator)
     ensemble.train(fitted, 1500, batch_size=256, generator=generator)
     observation, action, following = unseen.steps(*unseen.every_step())
     delta = ensemble.predict(observation, action)[0]

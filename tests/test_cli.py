@@ -249,7 +249,8 @@ def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -
     command = [sys.executable, "-m", "iher_robot", "train", "--quiet", "--device", "cpu"]
     settings = (
         "learner.schedule.cycles=1 learner.schedule.batches=1 learner.schedule.dynamics_steps=1 "
-        "learner.schedule.policy_copy_cycles=1 evaluation.episodes=1"
+        "learner.schedule.policy_copy_cycles=1 evaluation.episodes=1 "
+        "evaluation.final_episodes=1"
     ).split()
     words = [word for setting in settings for word in ("--set", setting)]
     words += "--task reach --budget-minutes 0.2 --set learner.schedule.real_rollouts=6".split()

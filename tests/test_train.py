@@ -41,6 +41,7 @@ TINY = (
     "learner.ddpg.batch_size=64",
     "learner.dynamics.hidden=[32, 32]",
     "evaluation.episodes=2",
+    "evaluation.final_episodes=2",
 )
 EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
 TIMINGS = {"wall_seconds", "updates_per_second"}

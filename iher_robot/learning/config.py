@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+
+def _none_if_off(value: object) -> object:
+    return None if isinstance(value, str) and value.lower() == "off" else value
+
+
+OR_OFF = BeforeValidator(_none_if_off)
+"""Reads ``off`` as None: on the command line, where None cannot be written."""
 
 
 class Section(BaseModel):
@@ -32,6 +40,9 @@ class ScheduleConfig(Section):
     """Multiplies K in the first epoch."""
     policy_copy_cycles: int = Field(50, ge=1)
     """A copy of the policy is kept for refilling after every so many cycles."""
+    updates_per_step: Annotated[float | None, OR_OFF] = Field(None, gt=0.0, le=1000.0)
+    """Gradient updates for each real step that an epoch collected; ``off`` makes C x N an epoch,
+    as in the paper. A cycle still has N of them, the last one what is left."""
 
     @property
     def real_episodes(self) -> int:
@@ -49,12 +60,27 @@ class DDPGConfig(Section):
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Widths of the hidden layers of actor and critic."""
+    critics: int = Field(1, ge=1, le=100)
+    """Critics in the ensemble; the actor maximises their mean (Chen et al. 2021, REDQ)."""
+    target_subset: int = Field(1, ge=1, le=100)
+    """Target critics, drawn anew for each update, whose minimum is bootstrapped from."""
+    inputs: Literal["absolute", "relative"] = "absolute"
+    """What actor and critics see: observation and goal as they are; or the goal relative to what
+    is achieved, and of both only what a shift of the whole scene leaves as it is."""
+    layer_norm: bool = False
+    """Normalise each hidden layer of the critics (Ball et al. 2023, RLPD)."""
+    component_critics: bool = False
+    """Critics of their own for extrinsic and intrinsic reward; the actor maximises the sum."""
     batch_size: int = Field(256, ge=1)
     """Transitions an update and worker."""
     gamma: float = Field(0.98, ge=0.0, lt=1.0)
     """Discount factor."""
+    actor_period: int = Field(1, ge=1)
+    """Critic updates from one actor update to the next (Fujimoto et al. 2018, TD3)."""
     tau: float = Field(0.05, gt=0.0, le=1.0)
     """Share of the online networks that enters the targets at each target update."""
+    target_update: Literal["cycle", "update"] = "cycle"
+    """When the targets are moved: at the end of a cycle, as in the paper, or at each update."""
     actor_lr: float = Field(1e-3, gt=0.0, le=1.0)
     """Adam's step size for the actor."""
     critic_lr: float = Field(1e-3, gt=0.0, le=1.0)
@@ -67,6 +93,15 @@ class DDPGConfig(Section):
     source_input: bool = True
     """Tell actor and critic which source a transition is from (``env_is_real``)."""
 
+    @model_validator(mode="after")
+    def _subset_is_no_more_than_all(self) -> Self:
+        if self.target_subset > self.critics:
+            raise ValueError(
+                f"target_subset is {self.target_subset}, but there are {self.critics} critics; "
+                "allowed: 1 to critics"
+            )
+        return self
+
 
 class ReplayConfig(Section):
     """Hindsight relabelling and the policy's input normalisation."""
@@ -75,6 +110,11 @@ class ReplayConfig(Section):
     """Transitions that each source keeps, first in, first out."""
     future_fraction: float = Field(0.8, ge=0.0, le=1.0)
     """Share of sampled transitions whose goal is one achieved later in their episode."""
+    still_weight: float = Field(1.0, gt=0.0, le=1.0)
+    """How likely a transition is drawn, against others, whose episode's achieved goal never moved
+    by more than ``moved_m``: there hindsight teaches little."""
+    moved_m: float = Field(0.01, gt=0.0)
+    """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
     normalizer_clip: float = Field(5.0, gt=0.0)
     """Normalised inputs of the policy are clipped to this many standard deviations."""
     normalizer_std_floor: float = Field(0.01, gt=0.0)
@@ -98,6 +138,9 @@ class DynamicsConfig(Section):
     """1 + (b - 1) E(i)/E, or the paper's printed E(i)/E (b - 1)."""
     std_floor: float = Field(1e-3, gt=0.0)
     """Smallest standard deviation of the model's normalisers, in the observation's units."""
+    inputs: Literal["absolute", "relative"] = "absolute"
+    """What the models see: the observation as it is, or only what a shift of the whole scene
+    leaves as it is."""
 
     @model_validator(mode="after")
     def _some_transition_has_weight(self) -> Self:
@@ -116,6 +159,13 @@ class ImaginationConfig(Section):
     """Learn a dynamics ensemble and from what it imagines; off for the model-free baselines."""
     regenerate: bool = True
     """Clear and refill the imaginary source after each model update."""
+    branch_ticks: Annotated[int | None, OR_OFF] = Field(None, ge=1)
+    """Ticks of an imaginary rollout that begins at any real state, with its goal, relabelled or
+    not; such rollouts live until the models change (Janner et al. 2019, MBPO). ``off`` imagines
+    whole episodes from real starts, as in the paper."""
+    share: Annotated[float | None, OR_OFF] = Field(None, ge=0.0, le=1.0)
+    """Imagined share of each batch; ``off`` takes the paper's p(imag), the share of newly imagined
+    transitions in all transitions collected so far."""
     state_margin: float = Field(0.1, ge=0.0)
     """Imagined observations are bounded to the real data's range, widened by this share."""
 
@@ -144,6 +194,29 @@ class ExplorationConfig(Section):
     """Share of rollouts collected with the other source's input."""
 
 
+class SymmetryConfig(Section):
+    """Images of what happened: the task declares which maps leave it unchanged."""
+
+    enabled: bool = False
+    """Replace every transition that is sampled, for the policy and for the models, and every
+    start of an imaginary rollout, by a random image of it."""
+
+
+class ContactConfig(Section):
+    """Contact first: a second policy brings the effector to the object while exploring."""
+
+    enabled: bool = False
+    """Train it, by hindsight on the same real data, and let it explore."""
+    share: float = Field(0.5, ge=0.0, le=1.0)
+    """Share of the exploring steps that it takes, until the object was touched."""
+    radius_m: float = Field(0.03, gt=0.0)
+    """The object counts as touched once the effector was within this distance of it, m."""
+    updates_per_step: float = Field(1.0, gt=0.0, le=1000.0)
+    """Its gradient updates for each real step."""
+    until_touched: float = Field(0.9, gt=0.0, le=1.0)
+    """It rests while the object was touched in this share of the newest 20 episodes."""
+
+
 class LearnerConfig(Section):
     """All settings of the learner."""
 
@@ -154,5 +227,7 @@ class LearnerConfig(Section):
     imagination: ImaginationConfig = ImaginationConfig()
     intrinsic: IntrinsicConfig = IntrinsicConfig()
     exploration: ExplorationConfig = ExplorationConfig()
+    symmetry: SymmetryConfig = SymmetryConfig()
+    contact: ContactConfig = ContactConfig()
     matmul_precision: Literal["highest", "high", "medium"] = "medium"
     """Precision of float32 matrix products, as in ``torch.set_float32_matmul_precision``."""

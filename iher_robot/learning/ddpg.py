@@ -9,39 +9,46 @@ import torch
 from torch import nn
 
 from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.critics import Critics
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.networks import mlp
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import Transitions
 
 
-def target_bounds(config: LearnerConfig) -> tuple[float, float]:
-    """Range to which the critic's targets are clipped.
+def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:
+    """Range to which the critics' targets are clipped.
 
     Without intrinsic rewards no return can lie outside [-1/(1-gamma), 0]; the reference
     implementation of HER clips to it, and so do we unless told otherwise.
 
     Args:
-        config: Discount factor, intrinsic clip and which range.
+        config: Discount factor, intrinsic clip, which range, and whether the reward's
+            components have critics of their own.
 
     Returns:
-        Lower and upper bound.
+        Lower and upper bound for each component: one for the sum of the rewards, or those of
+        extrinsic and intrinsic reward.
     """
-    if config.ddpg.clip_target == "off":
-        return float("-inf"), float("inf")
-    horizon = 1.0 / (1.0 - config.ddpg.gamma)
-    upper = config.intrinsic.clip * horizon if config.ddpg.clip_target == "intrinsic" else 0.0
-    return -horizon, upper
+    ddpg = config.ddpg
+    components = 2 if ddpg.component_critics else 1
+    if ddpg.clip_target == "off":
+        return [(float("-inf"), float("inf"))] * components
+    horizon = 1.0 / (1.0 - ddpg.gamma)
+    intrinsic = config.intrinsic.clip * horizon
+    if ddpg.component_critics:
+        return [(-horizon, 0.0), (0.0, intrinsic)]
+    return [(-horizon, intrinsic if ddpg.clip_target == "intrinsic" else 0.0)]
 
 
 class DDPG:
-    """Actor, critic, their targets and optimisers.
+    """Actor, critics, their targets and optimisers.
 
     Args:
         policy: The policy that is trained, in place.
         shapes: Sizes of the arrays.
         config: Settings.
-        generator: Draws the critic's initial weights, on the CPU.
+        generator: Draws the critics' initial weights and the subsets of target critics, on the
+            CPU.
         device: Where the networks compute.
     """
 
@@ -56,21 +63,28 @@ class DDPG:
     ) -> None:
         self.policy = policy
         self.config = config
-        self.bounds = target_bounds(config)
-        inputs = policy.input_dim + shapes.action_dim
-        self.critic = mlp(inputs, config.ddpg.hidden, 1, generator).to(device)
+        bounds = torch.tensor(target_bounds(config), device=device)
+        self._low, self._high = bounds[:, :1], bounds[:, 1:]  # (components, 1)
+        self.critics = Critics(
+            policy.input_dim + shapes.action_dim,
+            config.ddpg,
+            components=len(bounds),
+            generator=generator,
+        ).to(device)
+        self._generator = generator
+        self._updates = 0
         self._target_actor = copy.deepcopy(policy.actor)
-        self._target_critic = copy.deepcopy(self.critic)
+        self._target_critics = copy.deepcopy(self.critics)
         self._actor_optimizer = torch.optim.Adam(
             policy.actor.parameters(), lr=config.ddpg.actor_lr, fused=True
         )
         self._critic_optimizer = torch.optim.Adam(
-            self.critic.parameters(), lr=config.ddpg.critic_lr, fused=True
+            self.critics.parameters(), lr=config.ddpg.critic_lr, fused=True
         )
 
     @torch.no_grad()
     def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
-        """Bootstrapped targets of the critic.
+        """Bootstrapped targets of the critics.
 
         Episodes end by time, never by success, so every transition bootstraps.
 
@@ -78,18 +92,28 @@ class DDPG:
             batch: Transitions.
 
         Returns:
-            Clipped targets ``(batch,)``, and whether each was clipped ``(batch,)``.
+            Clipped targets, and whether each was clipped. ``(components, batch)`` each
         """
         features = self.policy.features(batch.next_observation, batch.goal, batch.source)
         action = torch.tanh(self._target_actor(features))
-        value = self._target_critic(torch.cat([features, action], dim=-1)).squeeze(-1)
-        reward = batch.extrinsic + batch.intrinsic
+        members = self._subset()
+        value = self._target_critics(features, action, members).amin(dim=1)
+        reward = torch.stack([batch.extrinsic, batch.intrinsic])
+        if not self.config.ddpg.component_critics:
+            reward = reward.sum(dim=0, keepdim=True)
         raw = reward + self.config.ddpg.gamma * value
-        clipped = raw.clamp(*self.bounds)
+        clipped = raw.clamp(self._low, self._high)
         return clipped, clipped != raw
 
+    def _subset(self) -> list[int]:
+        count, size = self.config.ddpg.critics, self.config.ddpg.target_subset
+        if size == count:
+            return list(range(count))
+        drawn: list[int] = torch.randperm(count, generator=self._generator)[:size].tolist()
+        return drawn
+
     def update(self, batch: Transitions) -> dict[str, torch.Tensor]:
-        """One gradient step of critic and actor.
+        """One gradient step of the critics, and of the actor if it is its turn.
 
         Args:
             batch: Transitions.
@@ -99,32 +123,45 @@ class DDPG:
         """
         target, clipped = self.targets(batch)
         features = self.policy.features(batch.observation, batch.goal, batch.source)
-        value = self.critic(torch.cat([features, batch.action], dim=-1)).squeeze(-1)
-        critic_loss = (value - target).square().mean()
+        value = self.critics(features, batch.action)
+        squared = (value - target.unsqueeze(1)).square()
+        critic_loss = squared.mean(dim=-1).sum()  # each network has a loss of its own
         self._critic_optimizer.zero_grad(set_to_none=True)
         critic_loss.backward()
         self._critic_optimizer.step()
-
-        action = self.policy.action(features)
-        self.critic.requires_grad_(False)  # the actor's gradient passes through, not into it
-        value_of_policy = self.critic(torch.cat([features, action], dim=-1)).mean()
-        actor_loss = -value_of_policy + self.config.ddpg.action_l2 * action.square().mean()
-        self._actor_optimizer.zero_grad(set_to_none=True)
-        actor_loss.backward()
-        self._actor_optimizer.step()
-        self.critic.requires_grad_(True)
-        return {
-            "critic_loss": critic_loss.detach(),
-            "q": value_of_policy.detach(),
+        report = {
+            "critic_loss": squared.detach().mean(),
             "target_clipped": clipped.float().mean(),
         }
+        if self._updates % self.config.ddpg.actor_period == 0:
+            report["q"] = self._update_actor(features)
+        self._updates += 1
+        if self.config.ddpg.target_update == "update":
+            self.update_targets()
+        return report
+
+    def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
+        action = self.policy.action(features)
+        self.critics.requires_grad_(False)  # the actor's gradient passes through, not into them
+        value: torch.Tensor = self.critics(features, action).mean(dim=1).sum(dim=0).mean()
+        loss = -value + self.config.ddpg.action_l2 * action.square().mean()
+        self._actor_optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self._actor_optimizer.step()
+        self.critics.requires_grad_(True)
+        return value.detach()
+
+    def end_cycle(self) -> None:
+        """Move the targets, where they are moved once a cycle."""
+        if self.config.ddpg.target_update == "cycle":
+            self.update_targets()
 
     @torch.no_grad()
     def update_targets(self) -> None:
         """Move the target networks towards the online ones by ``tau``."""
         for target, online in (
             (self._target_actor, self.policy.actor),
-            (self._target_critic, self.critic),
+            (self._target_critics, self.critics),
         ):
             torch._foreach_lerp_(
                 list(target.parameters()), list(online.parameters()), self.config.ddpg.tau
@@ -132,14 +169,18 @@ class DDPG:
 
     def _modules(self) -> dict[str, nn.Module]:
         return {
-            "critic": self.critic,
+            "critics": self.critics,
             "target_actor": self._target_actor,
-            "target_critic": self._target_critic,
+            "target_critics": self._target_critics,
         }
 
     def state_dict(self) -> dict[str, Any]:
         """Copy of networks and optimisers, without the policy, which is saved as a snapshot."""
-        state = {name: module.state_dict() for name, module in self._modules().items()}
+        state: dict[str, Any] = {
+            name: module.state_dict() for name, module in self._modules().items()
+        }
+        state["updates"] = self._updates
+        state["generator"] = self._generator.get_state()
         state["actor_optimizer"] = self._actor_optimizer.state_dict()
         state["critic_optimizer"] = self._critic_optimizer.state_dict()
         return copy.deepcopy(state)
@@ -148,6 +189,8 @@ class DDPG:
         """Restore what ``state_dict`` returned."""
         for name, module in self._modules().items():
             module.load_state_dict(state[name])
+        self._updates = state["updates"]
+        self._generator.set_state(state["generator"].cpu())
         # Optimisers keep the tensors that they load and then write to them.
         self._actor_optimizer.load_state_dict(copy.deepcopy(state["actor_optimizer"]))
         self._critic_optimizer.load_state_dict(copy.deepcopy(state["critic_optimizer"]))

@@ -14,6 +14,7 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.networks import mlp
 from iher_robot.learning.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.symmetry import Symmetry, choose_maps
 
 DIVERGED = "the models diverged; lower learner.dynamics.lr or raise learner.dynamics.std_floor"
 
@@ -45,6 +46,7 @@ class DynamicsEnsemble:
         config: Size, training and normalisation.
         generator: Draws the initial weights, on the CPU.
         device: Where the models compute.
+        symmetry: Maps whose images of the real transitions are learned from; None for none.
     """
 
     def __init__(
@@ -54,8 +56,13 @@ class DynamicsEnsemble:
         *,
         generator: torch.Generator,
         device: torch.device,
+        symmetry: Symmetry | None = None,
     ) -> None:
         self.config = config
+        self._seen = torch.ones(shapes.obs_dim + shapes.action_dim, device=device)
+        if config.inputs == "relative":
+            self._seen[list(shapes.shifted_entries)] = 0.0
+        self._symmetry = symmetry
         inputs = shapes.obs_dim + shapes.action_dim
         self.members = nn.ModuleList(
             mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
@@ -69,9 +76,14 @@ class DynamicsEnsemble:
         self.obs_high = torch.full((shapes.obs_dim,), torch.inf, device=device)
         self._optimizer = torch.optim.Adam(self.members.parameters(), lr=config.lr, fused=True)
 
-    def fit_normalizers(self, real: EpisodeReplay) -> None:
-        """Refit the statistics to every stored real transition."""
-        observation, action, following = real.steps(*real.every_step())
+    def fit_normalizers(self, real: EpisodeReplay, generator: torch.Generator) -> None:
+        """Refit the statistics to every stored real transition, or to an image of each.
+
+        Args:
+            real: Real transitions.
+            generator: Draws the images.
+        """
+        observation, action, following = self._steps(real, *real.every_step(), generator)
         self.input_normalizer.fit(torch.cat([observation, action], dim=-1))
         self.delta_normalizer.fit(following - observation)
         self.obs_low = torch.minimum(observation.amin(0), following.amin(0))
@@ -103,7 +115,7 @@ class DynamicsEnsemble:
             loss.zero_()
             for member in self.members:
                 episode, tick = real.draw(batch_size, generator, weights)
-                observation, action, following = real.steps(episode, tick)
+                observation, action, following = self._steps(real, episode, tick, generator)
                 target = self.delta_normalizer.normalize(following - observation)
                 error = member(self._inputs(observation, action)) - target
                 squared = error.square().sum(-1).mean()
@@ -115,8 +127,22 @@ class DynamicsEnsemble:
             raise FloatingPointError(f"the dynamics models' error is {mean_loss}: {DIVERGED}")
         return mean_loss
 
+    def _steps(
+        self,
+        real: EpisodeReplay,
+        episode: torch.Tensor,
+        tick: torch.Tensor,
+        generator: torch.Generator,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        observation, action, following = real.steps(episode, tick)
+        if self._symmetry is None:
+            return observation, action, following
+        maps = choose_maps(self._symmetry, observation, following, generator)
+        return maps.observation(observation), maps.action(action), maps.observation(following)
+
     def _inputs(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return self.input_normalizer.normalize(torch.cat([observation, action], dim=-1))
+        inputs = torch.cat([observation, action], dim=-1)
+        return self.input_normalizer.normalize(inputs) * self._seen
 
     @torch.no_grad()
     def predict(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:

@@ -33,12 +33,25 @@ class GoalModel(Protocol):
 
 @dataclass(frozen=True)
 class Shapes:
-    """Sizes of the arrays that the learner handles."""
+    """Sizes of the arrays that the learner handles, and which entries go together.
+
+    Attributes:
+        obs_dim: Length of an observation.
+        goal_dim: Length of a goal.
+        action_dim: Length of an action.
+        episode_ticks: Ticks of an episode.
+        goal_entries: Entries of the observation that a goal is compared with, one for each of
+            the goal's; empty where the achieved goal is not part of the observation.
+        shifted_entries: Entries of the observation that a shift of the whole scene changes;
+            the task declares that nothing depends on where they are together.
+    """
 
     obs_dim: int
     goal_dim: int
     action_dim: int
     episode_ticks: int
+    goal_entries: tuple[int, ...] = ()
+    shifted_entries: tuple[int, ...] = ()
 
 
 REAL = 0

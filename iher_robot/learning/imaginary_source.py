@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -16,7 +17,8 @@ from iher_robot.learning.imagination import imagine
 from iher_robot.learning.intrinsic import disagreement, intrinsic_reward
 from iher_robot.learning.meter import Meter
 from iher_robot.learning.policy import Policy, explore
-from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.symmetry import Symmetry, augment, choose_maps
 
 Progress = Callable[[str, int, int], None]
 """Called with the phase's name, the steps done and their total."""
@@ -31,8 +33,10 @@ class ImaginarySource:
         shapes: Sizes of the arrays.
         goal_model: Goals to imagine, derived entries.
         config: Settings.
+        real: Real episodes, where rollouts begin.
         generator: Every draw, on ``device``.
         device: Where the data live.
+        symmetry: Maps to whose images of the real starts rollouts are moved; None for none.
     """
 
     def __init__(
@@ -40,17 +44,22 @@ class ImaginarySource:
         shapes: Shapes,
         goal_model: GoalModel,
         config: LearnerConfig,
+        real: EpisodeReplay,
         *,
         generator: torch.Generator,
         device: torch.device,
+        symmetry: Symmetry | None = None,
     ) -> None:
-        self.shapes = shapes
+        ticks = config.imagination.branch_ticks or shapes.episode_ticks
+        self.shapes = dataclasses.replace(shapes, episode_ticks=ticks)
         self.goal_model = goal_model
         self.config = config
         self.generator = generator
         self.device = device
+        self._real = real
+        self._symmetry = symmetry
         self.replay = EpisodeReplay(
-            shapes, capacity=config.replay.capacity, source=IMAGINED, device=device
+            self.shapes, capacity=config.replay.capacity, source=IMAGINED, device=device
         )
         self.collected = 0
         self.level = 0
@@ -68,14 +77,13 @@ class ImaginarySource:
         self.policy_copies.append((cycle, policy.snapshot()))
 
     def imagine_cycle(
-        self, ensemble: DynamicsEnsemble, policy: Policy, starts: torch.Tensor, *, epoch: int
+        self, ensemble: DynamicsEnsemble, policy: Policy, *, epoch: int
     ) -> dict[str, float]:
         """Add one cycle's rollouts of the current policy.
 
         Args:
             ensemble: The models.
             policy: The current policy.
-            starts: Real observations to start from. ``(starts, obs_dim)``
             epoch: The current epoch.
 
         Returns:
@@ -85,7 +93,7 @@ class ImaginarySource:
             FloatingPointError: No rollout is finite, now and before.
         """
         count = self.config.schedule.imaginary_episodes
-        report = self.add_rollouts(ensemble, policy, starts, count, epoch=epoch)
+        report = self.add_rollouts(ensemble, policy, count, epoch=epoch)
         self._require_rollouts()
         self.collected += int(report.pop("kept")) * self.shapes.episode_ticks
         self.level = self.replay.num_transitions
@@ -95,7 +103,6 @@ class ImaginarySource:
         self,
         ensemble: DynamicsEnsemble,
         policy: Policy,
-        starts: torch.Tensor,
         *,
         epoch: int,
         cycle: int,
@@ -104,12 +111,12 @@ class ImaginarySource:
         """Clear the source and refill it to its level with the newest models only.
 
         The current policy first, then its copies from the newest to the oldest, each with C x I
-        rollouts (paper, appendix), or with an equal share where too few copies exist.
+        rollouts (paper, appendix), or with an equal share where too few copies exist. Branches
+        are cleared and not refilled: the next cycle's are soon as many as a batch takes.
 
         Args:
             ensemble: The models.
             policy: The current policy.
-            starts: Real observations to start from. ``(starts, obs_dim)``
             epoch: The current epoch.
             cycle: Cycles so far; a copy of that cycle equals the current policy.
             progress: Told how far the refill is.
@@ -121,6 +128,8 @@ class ImaginarySource:
             FloatingPointError: No rollout is finite.
         """
         self.replay.clear()
+        if self._branches:
+            return {}
         policies = [policy, *self._older_policies(cycle)]
         share = max(self.rollouts_per_policy, -(-self._missing() // len(policies)))
         meter = Meter()
@@ -129,7 +138,7 @@ class ImaginarySource:
                 wanted = min(share, self._missing())
                 for start in range(0, wanted, CHUNK):
                     count = min(CHUNK, wanted - start)
-                    meter.add(self.add_rollouts(ensemble, each, starts, count, epoch=epoch))
+                    meter.add(self.add_rollouts(ensemble, each, count, epoch=epoch))
                     progress("imagine", self.replay.num_transitions, self.level)
             self._require_rollouts()
         report = meter.means()
@@ -156,7 +165,6 @@ class ImaginarySource:
         self,
         ensemble: DynamicsEnsemble,
         policy: Policy,
-        starts: torch.Tensor,
         count: int,
         *,
         epoch: int,
@@ -166,18 +174,15 @@ class ImaginarySource:
         Args:
             ensemble: The models.
             policy: The policy, here with exploration.
-            starts: Real observations to start from. ``(starts, obs_dim)``
             count: Rollouts to imagine.
             epoch: The current epoch.
 
         Returns:
             What they show; ``kept`` is the number that were finite.
         """
-        row = torch.randint(len(starts), (count,), generator=self.generator, device=self.device)
-        start = starts[row]
+        start, goals = self._starts(count)
         flip = torch.rand(count, generator=self.generator, device=self.device)
         source = torch.where(flip < self.config.exploration.source_flip, REAL, IMAGINED)
-        goals = self._sample_goals(start)
 
         def act(observation: torch.Tensor) -> torch.Tensor:
             action = policy.act(observation, goals, source)
@@ -216,6 +221,39 @@ class ImaginarySource:
             return predictions.new_zeros(predictions.shape[1])
         sigma = disagreement(predictions, self.config.intrinsic)
         return intrinsic_reward(sigma, self.config.intrinsic)
+
+    def _starts(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Observations to begin at, and goals. ``(count, obs_dim)``, ``(count, goal_dim)``"""
+        if self._branches:
+            fraction = self.config.replay.future_fraction
+            drawn = self._real.sample(
+                count, self.generator, self.goal_model, future_fraction=fraction
+            )
+            drawn = augment(drawn, self._symmetry, self.generator)
+            return drawn.observation, drawn.goal
+        starts = self._real.start_observations()
+        row = torch.randint(len(starts), (count,), generator=self.generator, device=self.device)
+        start = starts[row]
+        if self._symmetry is not None:
+            start = choose_maps(self._symmetry, start, start, self.generator).observation(start)
+        return start, self._sample_goals(start)
+
+    def sample(self, count: int) -> Transitions:
+        """Draw imagined transitions with their goals.
+
+        Args:
+            count: How many.
+
+        Returns:
+            The batch. Whole episodes are relabelled as real ones are; branches came with goals
+            from the whole of a real episode, and hindsight within them would be trivial.
+        """
+        fraction = 0.0 if self._branches else self.config.replay.future_fraction
+        return self.replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+
+    @property
+    def _branches(self) -> bool:
+        return self.config.imagination.branch_ticks is not None
 
     def _sample_goals(self, start: torch.Tensor) -> torch.Tensor:
         # The task draws with NumPy; one number of the learner's stream seeds it.

@@ -9,15 +9,18 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.contact import ContactLearner, ContactModel
 from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
+from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
 from iher_robot.learning.imaginary_source import ImaginarySource, Progress
 from iher_robot.learning.intrinsic import refresh_intrinsic
 from iher_robot.learning.meter import Meter
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.symmetry import Symmetry, augment
 
 DYNAMICS_CHUNK = 25
 
@@ -37,6 +40,11 @@ class Learner:
         config: Settings.
         seed: Seeds every draw of the learner.
         device: Where replay, models and policy live.
+        symmetry: Maps that leave the task unchanged, for ``config.symmetry``.
+        contact_model: Where effector and object are, for ``config.contact``.
+
+    Raises:
+        ValueError: A setting asks for what the task does not declare.
     """
 
     def __init__(
@@ -47,26 +55,69 @@ class Learner:
         *,
         seed: int,
         device: torch.device,
+        symmetry: Symmetry | None = None,
+        contact_model: ContactModel | None = None,
     ) -> None:
         self.shapes = shapes
         self.goal_model = goal_model
         self.config = config
         self.device = device
+        self.symmetry = symmetry if config.symmetry.enabled else None
+        if config.symmetry.enabled and symmetry is None:
+            raise ValueError(
+                "learner.symmetry.enabled is true, but the task declares no symmetries; set it to "
+                "false"
+            )
+        for section in ("ddpg", "dynamics"):
+            if getattr(config, section).inputs == "relative" and not shapes.shifted_entries:
+                raise ValueError(
+                    f"learner.{section}.inputs is relative, but the task declares no entries that "
+                    "a shift changes; set it to absolute"
+                )
+        if config.contact.enabled and contact_model is None:
+            raise ValueError(
+                "learner.contact.enabled is true, but the task declares no object; set it to false"
+            )
         initial = torch.Generator().manual_seed(seed)
         self.policy = Policy.from_config(shapes, config, generator=initial, device=device)
         self.ddpg = DDPG(self.policy, shapes, config, generator=initial, device=device)
-        self.ensemble = DynamicsEnsemble(shapes, config.dynamics, generator=initial, device=device)
+        self.ensemble = DynamicsEnsemble(
+            shapes,
+            config.dynamics,
+            generator=initial,
+            device=device,
+            symmetry=self.symmetry,
+        )
         self.generator = torch.Generator(device).manual_seed(seed)
         self.real = EpisodeReplay(
             shapes, capacity=config.replay.capacity, source=REAL, device=device
         )
         self.imagined = ImaginarySource(
-            shapes, goal_model, config, generator=self.generator, device=device
+            shapes,
+            goal_model,
+            config,
+            self.real,
+            generator=self.generator,
+            device=device,
+            symmetry=self.symmetry,
         )
+        self.contact: ContactLearner | None = None
+        if config.contact.enabled and contact_model is not None:
+            self.contact = ContactLearner(shapes, contact_model, config, seed=seed, device=device)
         self.epoch = 0
         self.cycle = 0
         self.updates = 0
         self.real_collected = 0
+        self.fresh = 0
+
+    def explorer(self, device: torch.device) -> Explorer:
+        """What disturbs an actor's actions, as it is now; it does not follow later updates.
+
+        Args:
+            device: Where the actor computes.
+        """
+        contact = None if self.contact is None else self.contact.snapshot(device)
+        return Explorer(self.config.exploration, contact)
 
     def add_real(self, episodes: Sequence[Episode]) -> None:
         """Begin an epoch with the real episodes that were collected for it.
@@ -86,13 +137,15 @@ class Learner:
             )
             self._add(segments, fresh, self.epoch)
             sample = self._sample(fresh, fresh.num_transitions)
-            self.policy.obs_normalizer.update(sample.observation)
-            self.policy.goal_normalizer.update(sample.goal)
+            self.policy.update_normalizers(sample.observation, sample.goal)
+            if self.contact is not None:
+                self.contact.add_real(fresh, episodes)
 
     def _store_real(self, episodes: Sequence[Episode], epoch: int) -> list[Episode]:
         segments = [segment for episode in episodes for segment in episode.segments()]
         self._add(segments, self.real, epoch)
-        self.real_collected += sum(len(segment) for segment in segments)
+        self.fresh = sum(len(segment) for segment in segments)
+        self.real_collected += self.fresh
         return segments
 
     def _add(self, segments: Sequence[Episode], replay: EpisodeReplay, epoch: int) -> None:
@@ -102,7 +155,13 @@ class Learner:
                 torch.as_tensor(segment.actions, device=self.device).unsqueeze(0),
                 torch.as_tensor(segment.desired_goal, device=self.device).unsqueeze(0),
                 epoch=epoch,
+                weight=1.0 if self._moved(segment) else self.config.replay.still_weight,
             )
+
+    def _moved(self, episode: Episode) -> bool:
+        achieved = self.goal_model.achieved_goal(torch.as_tensor(episode.observations))
+        distance = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
+        return bool(distance > self.config.replay.moved_m)
 
     def learn(self, progress: Progress = silent) -> dict[str, float]:
         """Run the rest of the epoch: models, imagination and policy updates.
@@ -126,53 +185,77 @@ class Learner:
             self._train_dynamics(meter, progress)
             if self.config.imagination.regenerate or self.imagined.replay.num_episodes == 0:
                 meter.add(self._refill(progress))
+        if self.contact is not None:
+            updates = max(1, round(self.config.contact.updates_per_step * self.fresh))
+            meter.add(self.contact.learn(self.real, updates, self.symmetry).means())
         started = time.perf_counter()
-        for cycle in range(schedule.cycles):
+        updates = self._updates_of_epoch()
+        for done in range(0, updates, schedule.batches):
             if imagination:
-                meter.add(self._imagine_cycle())
-            for _ in range(schedule.batches):
+                meter.add(self.imagined.imagine_cycle(self.ensemble, self.policy, epoch=self.epoch))
+            batches = min(schedule.batches, updates - done)
+            for _ in range(batches):
                 meter.add(self.ddpg.update(self.sample_batch()))
                 self.updates += 1
-            self.ddpg.update_targets()
+            self.ddpg.end_cycle()
             self.cycle += 1
             if imagination and self.cycle % schedule.policy_copy_cycles == 0:
                 self.imagined.keep_copy(self.policy, self.cycle)
-            progress("update", (cycle + 1) * schedule.batches, schedule.cycles * schedule.batches)
+            progress("update", done + batches, updates)
         seconds = time.perf_counter() - started
         return meter.means() | {
             "epoch": self.epoch,
             "updates": self.updates,
-            "updates_per_second": schedule.cycles * schedule.batches / seconds,
+            "updates_per_second": updates / seconds,
             "real_transitions": self.real_collected,
             "imagined_transitions": self.imagined.collected,
             "imagined_stored": self.imagined.level,
             "imagined_share": self.imagined_share,
         }
 
+    def _updates_of_epoch(self) -> int:
+        schedule = self.config.schedule
+        if schedule.updates_per_step is None:
+            return schedule.cycles * schedule.batches
+        return max(1, round(schedule.updates_per_step * self.fresh))
+
     @property
     def imagined_share(self) -> float:
-        """p(imag): newly imagined transitions over all transitions collected so far."""
+        """Imagined share of a batch.
+
+        As configured, or p(imag): newly imagined transitions over all transitions collected so
+        far (paper, section III.D).
+        """
         if self.imagined.replay.num_episodes == 0:
             return 0.0
+        if self.config.imagination.share is not None:
+            return self.config.imagination.share
         return self.imagined.collected / (self.imagined.collected + self.real_collected)
 
     def sample_batch(self) -> Transitions:
         """Draw one batch from both sources, relabelled, with cached intrinsic rewards."""
         size = self.config.schedule.workers * self.config.ddpg.batch_size
         imagined = round(self.imagined_share * size)
-        counts = ((self.real, size - imagined), (self.imagined.replay, imagined))
-        return Transitions.concatenate([self._sample(r, count) for r, count in counts if count])
+        parts = [self._sample(self.real, size - imagined)] if imagined < size else []
+        if imagined:
+            parts.append(self._augmented(self.imagined.sample(imagined)))
+        return Transitions.concatenate(parts)
 
     def _sample(self, replay: EpisodeReplay, count: int) -> Transitions:
         fraction = self.config.replay.future_fraction
-        return replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+        return self._augmented(
+            replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+        )
+
+    def _augmented(self, batch: Transitions) -> Transitions:
+        return augment(batch, self.symmetry, self.generator)
 
     def _train_dynamics(self, meter: Meter, progress: Progress) -> None:
         schedule = self.config.schedule
         steps = schedule.dynamics_steps
         if self.epoch == 1:
             steps *= schedule.first_epoch_dynamics_factor
-        self.ensemble.fit_normalizers(self.real)
+        self.ensemble.fit_normalizers(self.real, self.generator)
         batch_size = schedule.workers * self.config.dynamics.batch_size
         for done in range(0, steps, DYNAMICS_CHUNK):
             chunk = min(DYNAMICS_CHUNK, steps - done)
@@ -189,21 +272,12 @@ class Learner:
 
     def _refill(self, progress: Progress) -> dict[str, float]:
         return self.imagined.refill(
-            self.ensemble,
-            self.policy,
-            self.real.start_observations(),
-            epoch=self.epoch,
-            cycle=self.cycle,
-            progress=progress,
+            self.ensemble, self.policy, epoch=self.epoch, cycle=self.cycle, progress=progress
         )
-
-    def _imagine_cycle(self) -> dict[str, float]:
-        starts = self.real.start_observations()
-        return self.imagined.imagine_cycle(self.ensemble, self.policy, starts, epoch=self.epoch)
 
     def state_dict(self) -> dict[str, Any]:
         """All that ``load_state_dict`` needs beside the real episodes: tensors and scalars."""
-        return {
+        state = {
             "epoch": self.epoch,
             "cycle": self.cycle,
             "updates": self.updates,
@@ -213,6 +287,9 @@ class Learner:
             "ensemble": self.ensemble.state_dict(),
             "imagined": self.imagined.state_dict(),
         }
+        if self.contact is not None:
+            state["contact"] = self.contact.state_dict()
+        return state
 
     def load_state_dict(
         self, state: dict[str, Any], episodes_by_epoch: Sequence[Sequence[Episode]]
@@ -235,3 +312,5 @@ class Learner:
         self.ddpg.load_state_dict(state["ddpg"])
         self.ensemble.load_state_dict(state["ensemble"])
         self.imagined.load_state_dict(state["imagined"])
+        if self.contact is not None:
+            self.contact.load_state_dict(state["contact"])

@@ -9,7 +9,14 @@ import torch
 from torch import nn
 
 
-def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Generator) -> nn.Module:
+def mlp(
+    inputs: int,
+    hidden: Sequence[int],
+    outputs: int,
+    generator: torch.Generator,
+    *,
+    layer_norm: bool = False,
+) -> nn.Module:
     """Multi-layer perceptron with ReLU between its layers.
 
     The weights are drawn from ``generator`` with torch's default distribution, so that nothing
@@ -20,6 +27,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Gener
         hidden: Widths of the hidden layers.
         outputs: Width of the output, which is linear.
         generator: Source of randomness, on the CPU.
+        layer_norm: Normalise each hidden layer before its ReLU.
 
     Returns:
         The network, on the CPU.
@@ -32,5 +40,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, generator: torch.Gener
         with torch.no_grad():
             for parameter in (layer.weight, layer.bias):
                 parameter.uniform_(-bound, bound, generator=generator)
-        layers += [layer, nn.ReLU(inplace=True)]
-    return nn.Sequential(*layers[:-1])
+        if layers:
+            layers += [nn.LayerNorm(fan_in)] * layer_norm + [nn.ReLU(inplace=True)]
+        layers.append(layer)
+    return nn.Sequential(*layers)

@@ -21,6 +21,7 @@ class Policy:
         shapes: Sizes of the arrays.
         hidden: Widths of the actor's hidden layers.
         source_input: Whether the actor is told its data's source.
+        inputs: ``absolute`` or ``relative``, see ``DDPGConfig``.
         normalizer_clip: See ``ReplayConfig``.
         normalizer_std_floor: See ``ReplayConfig``.
         generator: Draws the initial weights.
@@ -33,6 +34,7 @@ class Policy:
         *,
         hidden: Sequence[int],
         source_input: bool,
+        inputs: str = "absolute",
         normalizer_clip: float,
         normalizer_std_floor: float,
         generator: torch.Generator,
@@ -41,6 +43,7 @@ class Policy:
         self.shapes = shapes
         self.hidden = tuple(hidden)
         self.source_input = source_input
+        self.inputs = inputs
         self.device = device
 
         def normalizer(dim: int) -> RunningNormalizer:
@@ -50,6 +53,11 @@ class Policy:
 
         self.obs_normalizer = normalizer(shapes.obs_dim)
         self.goal_normalizer = normalizer(shapes.goal_dim)
+        self.gap_normalizer = normalizer(len(shapes.goal_entries))
+        self._goal_entries = torch.tensor(shapes.goal_entries, dtype=torch.long, device=device)
+        # 1 for what a shift of the whole scene leaves as it is.
+        self._fixed = torch.ones(shapes.obs_dim, device=device)
+        self._fixed[list(shapes.shifted_entries)] = 0.0
         self.actor: nn.Module = mlp(self.input_dim, hidden, shapes.action_dim, generator).to(device)
 
     @classmethod
@@ -66,6 +74,7 @@ class Policy:
             shapes,
             hidden=config.ddpg.hidden,
             source_input=config.ddpg.source_input,
+            inputs=config.ddpg.inputs,
             normalizer_clip=config.replay.normalizer_clip,
             normalizer_std_floor=config.replay.normalizer_std_floor,
             generator=generator,
@@ -76,12 +85,23 @@ class Policy:
     def input_dim(self) -> int:
         """Width of the actor's input."""
         sources = len(SOURCES) - 1 if self.source_input else 0
-        return self.shapes.obs_dim + self.shapes.goal_dim + sources
+        gap = len(self.shapes.goal_entries) if self.inputs == "relative" else 0
+        return self.shapes.obs_dim + self.shapes.goal_dim + gap + sources
+
+    def update_normalizers(self, observation: torch.Tensor, goal: torch.Tensor) -> None:
+        """Take in observations and goals. ``(batch, obs_dim)``, ``(batch, goal_dim)``"""
+        self.obs_normalizer.update(observation)
+        self.goal_normalizer.update(goal)
+        if self.shapes.goal_entries:
+            self.gap_normalizer.update(self._gap(observation, goal))
+
+    def _gap(self, observation: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
+        return goal - observation[..., self._goal_entries]
 
     def features(
         self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
     ) -> torch.Tensor:
-        """Input of actor and critic: normalised observation and goal, and the source.
+        """Input of actor and critics: normalised observation and goal, and the source.
 
         Args:
             observation: ``(batch, obs_dim)``
@@ -92,6 +112,10 @@ class Policy:
             ``(batch, input_dim)``
         """
         parts = [self.obs_normalizer(observation), self.goal_normalizer(goal)]
+        if self.inputs == "relative":
+            parts[0] = parts[0] * self._fixed
+            parts[1] = parts[1] * self._fixed[self._goal_entries]
+            parts.append(self.gap_normalizer(self._gap(observation, goal)))
         if self.source_input:
             parts.append(source_features(source))
         return torch.cat(parts, dim=-1)
@@ -113,11 +137,13 @@ class Policy:
             "shapes": {name: getattr(self.shapes, name) for name in Shapes.__dataclass_fields__},
             "hidden": list(self.hidden),
             "source_input": self.source_input,
+            "inputs": self.inputs,
             "normalizer_clip": self.obs_normalizer.clip,
             "normalizer_std_floor": self.obs_normalizer.std_floor,
             "actor": {name: t.detach().clone() for name, t in self.actor.state_dict().items()},
             "obs_normalizer": self.obs_normalizer.state_dict(),
             "goal_normalizer": self.goal_normalizer.state_dict(),
+            "gap_normalizer": self.gap_normalizer.state_dict(),
         }
 
     def load_snapshot(self, snapshot: dict[str, Any]) -> None:
@@ -125,6 +151,8 @@ class Policy:
         self.actor.load_state_dict(snapshot["actor"])
         self.obs_normalizer.load_state_dict(snapshot["obs_normalizer"])
         self.goal_normalizer.load_state_dict(snapshot["goal_normalizer"])
+        if "gap_normalizer" in snapshot:  # not in policy files of format 1
+            self.gap_normalizer.load_state_dict(snapshot["gap_normalizer"])
 
     @classmethod
     def from_snapshot(cls, snapshot: dict[str, Any], *, device: torch.device) -> Policy:
@@ -141,15 +169,20 @@ class Policy:
             Shapes(**snapshot["shapes"]),
             hidden=snapshot["hidden"],
             source_input=snapshot["source_input"],
+            inputs=snapshot.get("inputs", "absolute"),  # not in policy files of format 1
             normalizer_clip=snapshot["normalizer_clip"],
             normalizer_std_floor=snapshot["normalizer_std_floor"],
             generator=torch.Generator(),
             device=device,
         )
         policy.load_snapshot(snapshot)
-        for name in ("obs_normalizer", "goal_normalizer"):
+        shapes = policy.shapes
+        sizes = {"obs": shapes.obs_dim, "goal": shapes.goal_dim, "gap": len(shapes.goal_entries)}
+        for of, dim in sizes.items():
             # Unlike a module, a normaliser takes over any shape; a wrong one might broadcast.
-            dim = getattr(policy.shapes, name.replace("normalizer", "dim"))
+            name = f"{of}_normalizer"
+            if name not in snapshot and dim == 0:
+                continue
             for key in ("mean", "std"):
                 found = tuple(snapshot[name][key].shape)
                 if found != (dim,):

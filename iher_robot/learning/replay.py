@@ -62,6 +62,7 @@ class EpisodeReplay:
         self._intrinsic = torch.zeros(episodes, ticks, device=device)
         self._lengths = torch.zeros(episodes, dtype=torch.long, device=device)
         self._epochs = torch.zeros(episodes, dtype=torch.long, device=device)
+        self._weights = torch.ones(episodes, dtype=torch.float64, device=device)
         self.num_episodes = 0
         self._next_slot = 0
         self._cumulative: torch.Tensor | None = None
@@ -91,6 +92,7 @@ class EpisodeReplay:
         *,
         epoch: int,
         intrinsic: torch.Tensor | None = None,
+        weight: float = 1.0,
     ) -> None:
         """Append episodes of one length.
 
@@ -100,6 +102,7 @@ class EpisodeReplay:
             goals: ``(episodes, goal_dim)``
             epoch: Epoch in which they were collected, from 1.
             intrinsic: Intrinsic rewards; zero where none are given. ``(episodes, length)``
+            weight: How likely ``sample`` draws one of their transitions, against others.
         """
         count, length = actions.shape[:2]
         assert observations.shape == (count, length + 1, self.shapes.obs_dim), observations.shape
@@ -118,6 +121,7 @@ class EpisodeReplay:
             self._intrinsic[slots, :length] = intrinsic
         self._lengths[slots] = length
         self._epochs[slots] = epoch
+        self._weights[slots] = weight
         self._next_slot = (self._next_slot + count) % self.max_episodes
         self.num_episodes = min(self.num_episodes + count, self.max_episodes)
         self._cumulative = None
@@ -125,12 +129,13 @@ class EpisodeReplay:
     def draw(
         self, count: int, generator: torch.Generator, epoch_weights: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw transitions, uniformly or in proportion to a weight of their epoch.
+        """Draw transitions in proportion to a weight of their episode or of its epoch.
 
         Args:
             count: How many, with replacement.
             generator: Source of randomness.
-            epoch_weights: Weight of a transition by its epoch. ``(epochs + 1,)``
+            epoch_weights: Weight of a transition by its epoch, ``(epochs + 1,)``; None for
+                the weights that their episodes were added with.
 
         Returns:
             Episode slot and tick of each. ``(count,)``, ``(count,)``
@@ -155,8 +160,8 @@ class EpisodeReplay:
             return self._cumulative, self._cumulative_weights
         lengths = self._lengths[: self.num_episodes].double()
         if epoch_weights is None:
-            weights = torch.ones_like(lengths)
-            self._cumulative, self._cumulative_weights = lengths.cumsum(0), weights
+            weights = self._weights[: self.num_episodes]
+            self._cumulative, self._cumulative_weights = (lengths * weights).cumsum(0), weights
             return self._cumulative, weights
         weights = epoch_weights.double()[self._epochs[: self.num_episodes]]
         return (lengths * weights).cumsum(0), weights

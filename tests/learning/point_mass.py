@@ -23,7 +23,9 @@ MARK = np.array([0.3, -0.2])
 
 
 class PointMassGoals:
-    """Goal model of the point mass."""
+    """Goal model of the point mass, whose object is the mark."""
+
+    effector_entries = (0, 1)
 
     def achieved_goal(self, observation: Any, /) -> Any:
         return observation[..., :2]
@@ -37,6 +39,13 @@ class PointMassGoals:
             MARK, dtype=observation.dtype, device=observation.device
         )
         return completed
+
+    def effector_position(self, observation: Any, /) -> Any:
+        return observation[..., :2]
+
+    def object_position(self, observation: Any, /) -> Any:
+        """The mark, as the derived entry has it."""
+        return observation[..., :2] - observation[..., 4:6]
 
     def sample_goal(self, rng: np.random.Generator, start: Any, /) -> Any:
         return rng.uniform(-0.3, 0.3, size=(len(start), 2))

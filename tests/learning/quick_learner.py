@@ -33,8 +33,8 @@ def quick(**sections: dict[str, Any]) -> LearnerConfig:
     return small_config(**base)
 
 
-def new(config: LearnerConfig, seed: int = 0) -> Learner:
-    return Learner(SHAPES, PointMassGoals(), config, seed=seed, device=CPU)
+def new(config: LearnerConfig, seed: int = 0, **declared: Any) -> Learner:
+    return Learner(SHAPES, PointMassGoals(), config, seed=seed, device=CPU, **declared)
 
 
 def real(epoch: int, count: int = 4) -> list[Episode]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,7 +44,9 @@ def marked_episode(number: int, length: int) -> Episode:
     )
 
 
-def store(replay: EpisodeReplay, episodes: Sequence[Episode], epoch: int = 1) -> EpisodeReplay:
+def store(
+    replay: EpisodeReplay, episodes: Sequence[Episode], epoch: int = 1, weight: float = 1.0
+) -> EpisodeReplay:
     """Add episodes one by one, as the learner does."""
     for episode in episodes:
         replay.add(
@@ -50,6 +54,7 @@ def store(replay: EpisodeReplay, episodes: Sequence[Episode], epoch: int = 1) ->
             torch.as_tensor(episode.actions)[None],
             torch.as_tensor(episode.desired_goal)[None],
             epoch=epoch,
+            weight=weight,
         )
     return replay
 
@@ -148,3 +153,60 @@ def deviation(counts: torch.Tensor, expected: torch.Tensor) -> float:
     freedom = len(counts) - 1
     statistic = ((counts - expected).square() / expected).sum()
     return float((statistic - freedom) / (2 * freedom) ** 0.5)
+
+
+def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two nested states are identical to the bit."""
+    if one.keys() != other.keys():
+        return False
+    for name, value in one.items():
+        if isinstance(value, dict):
+            if not same(value, other[name]):
+                return False
+        elif isinstance(value, torch.Tensor):
+            if not torch.equal(value, other[name]):
+                return False
+        elif value != other[name]:
+            return False
+    return True
+
+
+def saved_and_loaded(state: dict[str, Any]) -> dict[str, Any]:
+    file = io.BytesIO()
+    torch.save(state, file)
+    file.seek(0)
+    loaded: dict[str, Any] = torch.load(file, weights_only=True)
+    return loaded
+
+
+@dataclass(frozen=True)
+class FarAway:
+    """A symmetry whose images are recognised: elsewhere by ``by``, and the action turned round.
+
+    Attributes:
+        by: What is added to positions. ``(batch, 1)``
+    """
+
+    by: torch.Tensor
+
+    def observation(self, observation: torch.Tensor, /) -> torch.Tensor:
+        image = observation.clone()
+        image[:, :2] += self.by
+        return image
+
+    def action(self, action: torch.Tensor, /) -> torch.Tensor:
+        return -action
+
+    def goal(self, goal: torch.Tensor, /) -> torch.Tensor:
+        return goal + self.by
+
+
+class FarAwaySymmetry:
+    """A row's image is 100 to 200 away, by what its number says."""
+
+    draws = 1
+
+    def choose(self, uniform: torch.Tensor, start: torch.Tensor, end: torch.Tensor, /) -> FarAway:
+        assert uniform.shape == (len(start), 1)
+        assert start.shape == end.shape
+        return FarAway(100.0 + 100.0 * uniform)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from typing import Literal
 
@@ -17,6 +18,7 @@ from iher_robot.learning.replay import EpisodeReplay
 from tests.learning.point_mass import SHAPES, rollout
 from tests.learning.stand_ins import (
     CPU,
+    FarAwaySymmetry,
     drifting_ensemble,
     generator,
     marked_episode,
@@ -41,7 +43,7 @@ def real_replay(episodes: int, seed: int = 0) -> EpisodeReplay:
 @pytest.fixture(scope="module")
 def trained() -> DynamicsEnsemble:
     ensemble, replay = untrained(), real_replay(30)
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     ensemble.train(replay, 400, batch_size=64, generator=generator())
     return ensemble
 
@@ -87,7 +89,7 @@ def test_training_weighs_transitions_by_their_epoch(form: Form, bias: float, new
         episode.observations[1, 2] = drift
         store(replay, [episode] * 4, epoch)
     ensemble = untrained(2, recency_bias=bias, recency_weights=form, lr=3e-3)
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     ensemble.train(replay, 150, batch_size=1024, generator=generator())
     zero = torch.zeros(1, SHAPES.obs_dim), torch.zeros(1, SHAPES.action_dim)
     for prediction in ensemble.predict(*zero):
@@ -114,7 +116,7 @@ def test_training_reports_the_mean_squared_error_in_normalised_units(
 ) -> None:
     replay = real_replay(30)
     before = untrained()
-    before.fit_normalizers(replay)
+    before.fit_normalizers(replay, generator())
     observation, action, following = stored(replay)
     target = before.delta_normalizer.normalize(following - observation)
     expected = float((before.predict(observation, action) - target).square().mean())
@@ -133,7 +135,7 @@ def test_members_start_from_weights_of_their_own() -> None:
 def test_members_are_trained_on_batches_of_their_own() -> None:
     replay = real_replay(5)
     ensemble = drifting_ensemble(0.0, 0.0, 0.0)  # equal members, so only batches can part them
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     ensemble.train(replay, 20, batch_size=8, generator=generator())
     observation, action, _ = stored(replay)
     for one, other in itertools.combinations(ensemble.predict(observation, action), 2):
@@ -143,7 +145,7 @@ def test_members_are_trained_on_batches_of_their_own() -> None:
 def test_statistics_are_those_of_every_stored_transition() -> None:
     replay = real_replay(6)
     ensemble = untrained()
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     observation, action, following = (x.double().numpy() for x in stored(replay))
     inputs, delta = np.concatenate([observation, action], axis=-1), following - observation
     for normalizer, values in (
@@ -160,7 +162,7 @@ def test_statistics_are_those_of_every_stored_transition() -> None:
 def test_statistics_stand_still_until_the_next_fit() -> None:
     replay = real_replay(4)
     ensemble = untrained()
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     normalizers = ensemble.input_normalizer, ensemble.delta_normalizer
     fitted = [normalizer.state_dict() for normalizer in normalizers]
     store(replay, [marked_episode(50, SHAPES.episode_ticks)])
@@ -168,7 +170,7 @@ def test_statistics_stand_still_until_the_next_fit() -> None:
     for normalizer, before in zip(normalizers, fitted, strict=True):
         assert torch.equal(normalizer.mean, before["mean"])
         assert torch.equal(normalizer.std, before["std"])
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     for normalizer, before in zip(normalizers, fitted, strict=True):
         assert not torch.equal(normalizer.mean, before["mean"])
 
@@ -176,7 +178,7 @@ def test_statistics_stand_still_until_the_next_fit() -> None:
 def test_an_entry_that_never_changes_is_normalised_with_the_floor() -> None:
     replay = replay_of([marked_episode(3, SHAPES.episode_ticks)])  # most entries are constant
     ensemble = untrained(std_floor=0.02)
-    ensemble.fit_normalizers(replay)
+    ensemble.fit_normalizers(replay, generator())
     assert ensemble.delta_normalizer.std.tolist() == pytest.approx([0.02] * SHAPES.obs_dim)
     ensemble.train(replay, 5, batch_size=16, generator=generator())
     observation, action, _ = stored(replay)
@@ -189,7 +191,7 @@ def test_a_restored_ensemble_trains_on_as_the_original_does(trained: DynamicsEns
     state = trained.state_dict()
     for copy in copies:
         copy.load_state_dict(state)
-        copy.fit_normalizers(replay)
+        copy.fit_normalizers(replay, generator())
         copy.train(replay, 3, batch_size=16, generator=generator(4))
     observation, action, _ = stored(replay)
     one, other = (copy.predict(observation, action) for copy in copies)
@@ -202,8 +204,45 @@ def test_a_restored_ensemble_trains_on_as_the_original_does(trained: DynamicsEns
     assert torch.equal(untouched.obs_high, trained.obs_high)
 
 
+def test_with_a_symmetry_statistics_and_training_are_those_of_images() -> None:
+    replay = real_replay(20)
+    config = DynamicsConfig(members=2, hidden=(64, 64))
+    ensemble = DynamicsEnsemble(
+        SHAPES, config, generator=generator(), device=CPU, symmetry=FarAwaySymmetry()
+    )
+    ensemble.fit_normalizers(replay, generator())
+    observation, action, following = stored(replay)
+    assert ((ensemble.obs_low[:2] > 99) & (ensemble.obs_high[:2] > 190)).all()
+    mean = ensemble.input_normalizer.mean
+    assert mean[:2].tolist() == pytest.approx([150.0, 150.0], abs=15)
+    torch.testing.assert_close(mean[-2:], -action.mean(0))
+    # Images have their actions turned round, so that models of them see opposite motions.
+    ensemble.train(replay, 300, batch_size=64, generator=generator())
+    observation = observation + torch.tensor([150.0, 150.0, 0, 0, 0, 0])
+    velocity = following[:, 2:4]
+    for prediction in ensemble.predict(observation, -action):
+        error = ensemble.next_observation(observation, prediction)[:, 2:4] - velocity
+        assert error.square().mean() < 0.05 * velocity.square().mean()
+
+
 def test_training_on_values_that_are_not_finite_fails_with_what_to_do() -> None:
     replay = real_replay(2)
     ensemble = drifting_ensemble(float("nan"), 0.0)
     with pytest.raises(FloatingPointError, match=r"diverged; lower learner\.dynamics\.lr"):
         ensemble.train(replay, 1, batch_size=8, generator=generator())
+
+
+def test_relative_models_do_not_see_where_the_scene_is() -> None:
+    shapes = dataclasses.replace(SHAPES, shifted_entries=(0, 1))
+    config = DynamicsConfig(hidden=(16,), inputs="relative")
+    ensemble = DynamicsEnsemble(shapes, config, generator=generator(), device=CPU)
+    replay = real_replay(5)
+    ensemble.fit_normalizers(replay, generator())
+    ensemble.train(replay, 5, batch_size=16, generator=generator())
+    observation, action, _ = stored(replay)
+    elsewhere = observation + torch.tensor([3.0, -2.0, 0, 0, 0, 0])
+    assert torch.equal(ensemble.predict(elsewhere, action), ensemble.predict(observation, action))
+    faster = observation + torch.tensor([0, 0, 0.1, 0, 0, 0])
+    assert not torch.allclose(
+        ensemble.predict(faster, action), ensemble.predict(observation, action)
+    )

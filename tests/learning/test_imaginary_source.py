@@ -13,7 +13,7 @@ from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.imaginary_source import ImaginarySource
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.replay import EpisodeReplay, Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.stand_ins import (
     CPU,
@@ -21,7 +21,9 @@ from tests.learning.stand_ins import (
     drifting_ensemble,
     generator,
     linear_policy,
+    marked_episode,
     quiet_config,
+    replay_of,
     stored,
 )
 
@@ -31,14 +33,21 @@ STARTS = torch.zeros(1, OBS)
 SCHEDULE = {"cycles": 3, "imaginary_rollouts": 2}
 
 
-def source(config: LearnerConfig) -> ImaginarySource:
-    return ImaginarySource(SHAPES, PointMassGoals(), config, generator=generator(), device=CPU)
+def source(config: LearnerConfig, starts: torch.Tensor = STARTS) -> ImaginarySource:
+    """A source whose real episodes started there."""
+    real, count = replay_of(), len(starts)
+    observations = starts.unsqueeze(1).expand(count, 2, OBS)
+    actions, goals = torch.zeros(count, 1, SHAPES.action_dim), torch.zeros(count, SHAPES.goal_dim)
+    real.add(observations, actions, goals, epoch=1)
+    return ImaginarySource(
+        SHAPES, PointMassGoals(), config, real, generator=generator(), device=CPU
+    )
 
 
 def filled(config: LearnerConfig, cycles: int, drift: float = 1.0) -> ImaginarySource:
     imagined = source(config)
     for _ in range(cycles):
-        imagined.imagine_cycle(drifting_ensemble(drift), linear_policy(), STARTS, epoch=1)
+        imagined.imagine_cycle(drifting_ensemble(drift), linear_policy(), epoch=1)
     return imagined
 
 
@@ -47,13 +56,11 @@ def refill(
     ensemble: DynamicsEnsemble,
     *,
     policy: Policy | None = None,
-    starts: torch.Tensor = STARTS,
     cycle: int = 99,
 ) -> dict[str, float]:
     return imagined.refill(
         ensemble,
         linear_policy() if policy is None else policy,
-        starts,
         epoch=2,
         cycle=cycle,
         progress=lambda phase, done, total: None,
@@ -153,13 +160,13 @@ def overflowing() -> tuple[DynamicsEnsemble, torch.Tensor]:
 
 def test_dropped_rollouts_are_counted_and_made_up_for_in_a_refill() -> None:
     ensemble, starts = overflowing()
-    imagined = source(quiet_config(schedule={"cycles": 2, "imaginary_rollouts": 200}))
-    report = imagined.imagine_cycle(ensemble, linear_policy(), starts, epoch=1)
+    imagined = source(quiet_config(schedule={"cycles": 2, "imaginary_rollouts": 200}), starts)
+    report = imagined.imagine_cycle(ensemble, linear_policy(), epoch=1)
     kept = 200 * (1 - report["imagined_dropped"])
     assert 60 < kept < 140
     assert imagined.collected == imagined.level == pytest.approx(kept * TICKS)
     level = imagined.level
-    report = refill(imagined, ensemble, starts=starts)
+    report = refill(imagined, ensemble)
     assert 0 < report["imagined_dropped"] < 1
     assert imagined.level == imagined.replay.num_transitions == level
     assert (stored(imagined.replay)[0][:, 0] == 0).all()
@@ -167,10 +174,10 @@ def test_dropped_rollouts_are_counted_and_made_up_for_in_a_refill() -> None:
 
 def test_a_few_rollouts_dropped_by_chance_at_the_end_do_not_stop_a_refill() -> None:
     ensemble, starts = overflowing()
-    imagined = source(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 60}))
-    imagined.imagine_cycle(ensemble, linear_policy(), starts, epoch=1)
+    imagined = source(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 60}), starts)
+    imagined.imagine_cycle(ensemble, linear_policy(), epoch=1)
     for _ in range(20):  # each ends with passes of one or two rollouts, half of them bad
-        refill(imagined, ensemble, starts=starts)
+        refill(imagined, ensemble)
         assert imagined.replay.num_transitions == imagined.level
 
 
@@ -182,8 +189,8 @@ def test_a_refill_of_which_nothing_is_finite_fails_with_what_to_do() -> None:
 
 def test_rollouts_start_where_real_episodes_started_with_goals_of_the_task() -> None:
     starts = PointMassGoals().complete(torch.randn(3, OBS, generator=generator()))
-    imagined = source(quiet_config(schedule={"imaginary_rollouts": 60}))
-    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), starts, epoch=1)
+    imagined = source(quiet_config(schedule={"imaginary_rollouts": 60}), starts)
+    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), epoch=1)
     begun = imagined.replay.start_observations()
     assert {tuple(row) for row in begun.tolist()} == {tuple(row) for row in starts.tolist()}
     goals = imagined.replay.sample(4000, generator(), PointMassGoals(), future_fraction=0.0).goal
@@ -197,7 +204,7 @@ def test_imagined_actions_are_explored_like_real_ones() -> None:
         schedule={"imaginary_rollouts": 200}, exploration={"random_fraction": 0.3}
     )
     imagined = source(config)
-    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), STARTS, epoch=1)
+    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), epoch=1)
     _, action, _ = stored(imagined.replay)
     assert float((action != 0).all(-1).float().mean()) == pytest.approx(0.3, abs=0.04)
 
@@ -221,7 +228,7 @@ def test_a_share_of_rollouts_is_told_real_but_stored_as_imagined(share: float) -
     policy = linear_policy((0.1, 0.0), real_bias=0.4, cls=Recording)
     assert isinstance(policy, Recording)
     policy.told = []
-    imagined.imagine_cycle(drifting_ensemble(0.0), policy, STARTS, epoch=1)
+    imagined.imagine_cycle(drifting_ensemble(0.0), policy, epoch=1)
     told = torch.stack(policy.told)
     assert told.shape == (TICKS, 1000)
     assert (told == told[0]).all()  # for the whole rollout
@@ -235,7 +242,7 @@ def test_stored_rewards_are_the_intrinsic_ones_or_zero(enabled: bool) -> None:
     # Normalised predictions of entry 2 are -1 and 1: variance 1 in one of six entries.
     settings: dict[str, Any] = {"enabled": enabled, "scale": 0.3}
     imagined = source(quiet_config(intrinsic=settings))
-    report = imagined.imagine_cycle(drifting_ensemble(-1.0, 1.0), linear_policy(), STARTS, epoch=1)
+    report = imagined.imagine_cycle(drifting_ensemble(-1.0, 1.0), linear_policy(), epoch=1)
     expected = 0.3 / 6 if enabled else 0.0
     assert sample(imagined).intrinsic.tolist() == pytest.approx([expected] * 2000)
     assert report["intrinsic_imagined"] == pytest.approx(expected)
@@ -244,7 +251,7 @@ def test_stored_rewards_are_the_intrinsic_ones_or_zero(enabled: bool) -> None:
 
 def test_the_share_of_clipped_intrinsic_rewards_is_reported() -> None:
     imagined = source(quiet_config(intrinsic={"reduce": "sum", "scale": 0.5, "clip": 0.2}))
-    report = imagined.imagine_cycle(drifting_ensemble(-1.0, 1.0), linear_policy(), STARTS, epoch=1)
+    report = imagined.imagine_cycle(drifting_ensemble(-1.0, 1.0), linear_policy(), epoch=1)
     assert report["intrinsic_clipped"] == 1.0
     assert report["intrinsic_imagined"] == pytest.approx(0.2)
 
@@ -260,3 +267,49 @@ def test_a_restored_source_refills_as_the_original_does() -> None:
     for each in (original, restored):
         refill(each, drifting_ensemble(0.0), policy=linear_policy((0.4, 0.0)), cycle=4)
     assert actors(restored) == actors(original) == [0.4] * 8 + [0.2] * 8
+
+
+def branching(**exploration: float) -> tuple[ImaginarySource, EpisodeReplay]:
+    """Branches of 3 ticks from four real episodes, each observation with a number of its own."""
+    config = quiet_config(
+        schedule={"imaginary_rollouts": 200},
+        imagination={"branch_ticks": 3},
+        replay={"future_fraction": 0.5},
+        exploration=exploration,
+    )
+    real = replay_of([marked_episode(number, TICKS) for number in range(4)])
+    imagined = ImaginarySource(
+        SHAPES, PointMassGoals(), config, real, generator=generator(), device=CPU
+    )
+    return imagined, real
+
+
+def test_branches_begin_anywhere_in_a_real_episode_with_one_of_its_goals() -> None:
+    imagined, _ = branching()
+    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), epoch=1)
+    assert imagined.replay.num_transitions == 200 * 3
+    batch = imagined.sample(4000)
+    episode, tick = batch.observation[:, 0].round(), batch.observation[:, 1].round()
+    assert set(tick.tolist()) == set(range(TICKS))  # never after the last action
+    desired = batch.goal[:, 0] == -1.0
+    assert 0.4 < desired.float().mean() < 0.6
+    assert torch.equal(batch.goal[desired, 1], episode[desired])  # its own goal
+    assert torch.equal(batch.goal[~desired, 0], episode[~desired])  # or one achieved in it, later
+    assert (batch.goal[~desired, 1] > tick[~desired]).all()
+
+
+def test_branches_are_not_relabelled_within_themselves() -> None:
+    imagined, _ = branching()
+    imagined.imagine_cycle(drifting_ensemble(0.0), linear_policy(), epoch=1)
+    stored_goals = {tuple(goal) for goal in imagined.replay._goals[:200].tolist()}
+    assert {tuple(goal) for goal in imagined.sample(2000).goal.tolist()} <= stored_goals
+
+
+def test_new_models_leave_no_branch_of_the_old_ones() -> None:
+    imagined, _ = branching()
+    imagined.imagine_cycle(drifting_ensemble(1.0), linear_policy(), epoch=1)
+    assert refill(imagined, drifting_ensemble(-1.0)) == {}
+    assert imagined.replay.num_episodes == 0
+    imagined.imagine_cycle(drifting_ensemble(-1.0), linear_policy(), epoch=2)
+    batch = imagined.sample(500)
+    assert (batch.next_observation[:, 2] < batch.observation[:, 2]).all()

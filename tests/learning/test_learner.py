@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,10 +15,10 @@ import torch
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.replay import EpisodeReplay, Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.quick_learner import HER, after, new, quick, real, rows
-from tests.learning.stand_ins import generator
+from tests.learning.stand_ins import FarAwaySymmetry, deviation, generator, same, stored
 
 TICKS = SHAPES.episode_ticks
 
@@ -175,3 +177,120 @@ def test_models_that_diverge_stop_the_epoch_before_the_policy_sees_them() -> Non
         learner.learn()
     for tensor in learner.policy.snapshot()["actor"].values():
         assert tensor.isfinite().all()
+
+
+def test_the_updates_of_an_epoch_follow_from_its_fresh_valid_steps() -> None:
+    valid = np.ones(TICKS, bool)
+    valid[[3, 7]] = False
+    epochs = [real(1), [replace(real(2)[0], valid=valid), *real(2)[1:3]], real(3, 1)]
+    for per_step, expected in ((0.5, [24, 17, 6]), (1.0, [48, 34, 12]), (None, [12, 12, 12])):
+        learner = new(quick(schedule={"updates_per_step": per_step or "off"}, **HER))
+        ends: list[int] = []
+        end_cycle = learner.ddpg.end_cycle
+
+        def ended(
+            learner: Learner = learner,
+            ends: list[int] = ends,
+            end_cycle: Callable[[], None] = end_cycle,
+        ) -> None:
+            ends.append(learner.updates)
+            end_cycle()
+
+        learner.ddpg.end_cycle = ended  # type: ignore[method-assign]
+        total = 0
+        for episodes, updates in zip(epochs, expected, strict=True):
+            ends.clear()
+            learner.add_real(episodes)
+            assert learner.learn()["updates"] == total + updates
+            # Cycles of three updates, and of what is left.
+            assert ends == [total + min(done + 3, updates) for done in range(0, updates, 3)]
+            total += updates
+            for name in ("actor_optimizer", "critic_optimizer"):
+                assert steps(learner.ddpg.state_dict()[name]) == {total}
+
+
+def test_even_the_fewest_steps_bring_one_update() -> None:
+    learner = new(quick(schedule={"updates_per_step": 0.001}, **HER))
+    learner.add_real(real(1, 1))
+    assert learner.learn()["updates"] == 1
+
+
+def moving(number: int, farthest_m: float) -> Episode:
+    """An episode whose achieved goal goes somewhere, and returns to where it was."""
+    episode = real(1, 1)[0]
+    observations = np.zeros_like(episode.observations)
+    observations[:, 2] = number
+    observations[5, 1] = farthest_m
+    return replace(episode, observations=observations)
+
+
+def test_episodes_that_did_not_move_the_achieved_goal_are_drawn_less() -> None:
+    config = quick(replay={"still_weight": 0.25, "moved_m": 0.01})
+    episodes = [moving(0, 0.0), moving(1, 0.009), moving(2, 0.011), moving(3, -0.5)]
+    learner, resumed, plain = new(config), new(config), new(quick())
+    for each in (learner, plain):
+        each.add_real(episodes)
+    resumed.load_state_dict(learner.state_dict(), [episodes])
+    for each, share in ((learner, 0.1), (resumed, 0.1), (plain, 0.25)):
+        batch = each.real.sample(10_000, generator(), PointMassGoals(), future_fraction=0.8)
+        counts = torch.bincount(batch.observation[:, 2].long(), minlength=4)
+        expected = torch.tensor([share, share, 0.5 - share, 0.5 - share])
+        assert deviation(counts, expected) < 4
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [("symmetry", "declares no symmetries"), ("contact", "declares no object")],
+)
+def test_what_the_task_does_not_declare_cannot_be_enabled(section: str, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"learner\.{section}\.enabled is true.*{message}"):
+        new(quick(**{section: {"enabled": True}}))
+
+
+def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
+    config = quick(symmetry={"enabled": True}, contact={"enabled": True})
+    goals = PointMassGoals()
+    learner = new(config, symmetry=FarAwaySymmetry(), contact_model=goals)
+    batches: list[Transitions] = []
+    assert learner.contact is not None
+    for ddpg in (learner.ddpg, learner.contact.ddpg):
+        update = ddpg.update
+
+        def seen(batch: Transitions, update: Any = update) -> Any:
+            batches.append(batch)
+            return update(batch)
+
+        ddpg.update = seen  # type: ignore[method-assign]
+    learner.add_real(real(1))
+    real_rows = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    learner.learn()
+    actions = {tuple(row) for row in stored(learner.real)[1].tolist()}
+    assert len(batches) == 12 + 4 * TICKS
+    for index, batch in enumerate(batches):
+        told = batch.source == REAL
+        away = batch.observation[told, 0]
+        assert ((away > 99) & (away < 201)).all()
+        assert away.std() > 20  # an image for each row
+        for entry in (batch.next_observation, batch.goal):
+            assert (entry[told, 0] - away).abs().max() < 2  # the same image
+        assert {tuple(row) for row in (-batch.action[told]).tolist()} <= actions
+        # Rewards stay, and are those of the images.
+        achieved = goals.achieved_goal(batch.next_observation)
+        gap = (achieved - batch.goal).square().sum(-1).sqrt()
+        clear = (gap - (0.03 if index < 4 * TICKS else 0.05)).abs() > 1e-3
+        met = gap < (0.03 if index < 4 * TICKS else 0.05)
+        assert torch.equal((batch.extrinsic == 0)[clear], met[clear])
+    # The models know images only, imagination starts from them, and the data stay as they were.
+    assert (learner.ensemble.obs_low[:2] > 99).all()
+    assert (learner.imagined.replay.start_observations()[:, :2] > 99).all()
+    after = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    assert after == real_rows
+
+
+def test_a_symmetry_that_is_not_enabled_changes_nothing() -> None:
+    declared, plain = new(quick(), symmetry=FarAwaySymmetry()), new(quick())
+    for learner in (declared, plain):
+        learner.add_real(real(1))
+        learner.learn()
+    assert same(declared.policy.snapshot(), plain.policy.snapshot())
+    assert torch.equal(declared.ensemble.obs_low, plain.ensemble.obs_low)

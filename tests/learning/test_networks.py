@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from torch import nn
 
 from iher_robot.learning.networks import mlp
 from tests.learning.stand_ins import generator
@@ -28,3 +29,34 @@ def test_the_output_is_linear_and_the_hidden_layers_are_not() -> None:
     assert slopes.max() - slopes.min() > 1e-3
     flat = mlp(1, (), 1, generator())(inputs).squeeze(-1).diff()
     torch.testing.assert_close(flat, flat[:1].expand(200), rtol=1e-3, atol=1e-4)
+
+
+def test_hidden_layers_are_normalised_only_where_asked_and_the_draws_stay_the_same() -> None:
+    def norms(network: nn.Module) -> list[nn.Module]:
+        return [layer for layer in network.modules() if isinstance(layer, nn.LayerNorm)]
+
+    plain, rng = mlp(4, (8, 16), 3, generator(5)), generator(5)
+    normed = mlp(4, (8, 16), 3, rng, layer_norm=True)
+    assert norms(plain) == []
+    assert [layer.normalized_shape for layer in norms(normed)] == [(8,), (16,)]
+    after, reference = torch.rand(3, generator=rng), generator(5)
+    mlp(4, (8, 16), 3, reference)
+    assert torch.equal(torch.rand(3, generator=reference), after)
+    drawn = [
+        p for layer in normed.modules() if isinstance(layer, nn.Linear) for p in layer.parameters()
+    ]
+    for mine, theirs in zip(drawn, plain.parameters(), strict=True):
+        assert torch.equal(mine, theirs)
+
+
+def test_what_a_normalised_hidden_layer_rectifies_has_mean_zero_and_variance_one() -> None:
+    network = mlp(4, (64, 64), 3, generator(), layer_norm=True)
+    seen: list[torch.Tensor] = []
+    for layer in network.modules():
+        if isinstance(layer, nn.ReLU):
+            layer.register_forward_pre_hook(lambda _, args: seen.append(args[0].clone()))
+    network(100 * torch.randn(20, 4, generator=generator()))
+    assert len(seen) == 2
+    for values in seen:
+        torch.testing.assert_close(values.mean(-1), torch.zeros(20), atol=1e-4, rtol=0)
+        torch.testing.assert_close(values.var(-1, correction=0), torch.ones(20), atol=1e-2, rtol=0)

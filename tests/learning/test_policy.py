@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 
 import pytest
@@ -13,7 +14,14 @@ from iher_robot.learning.config import ExplorationConfig
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.policy import Policy, explore
 from tests.learning.point_mass import SHAPES, small_config
-from tests.learning.stand_ins import CPU, NO_NOISE, deviation, generator, linear_policy
+from tests.learning.stand_ins import (
+    CPU,
+    NO_NOISE,
+    deviation,
+    generator,
+    linear_policy,
+    saved_and_loaded,
+)
 
 
 def policy(seed: int = 0, *, source_input: bool = True) -> Policy:
@@ -134,3 +142,69 @@ def test_actions_are_bounded_whatever_the_input() -> None:
     action = policy().act(1e6 * observation, 1e6 * goal, source)
     assert action.abs().max() <= 1
     assert IMAGINED in source
+
+
+RELATIVE = dataclasses.replace(SHAPES, goal_entries=(0, 1), shifted_entries=(0, 1))
+"""Of the point mass's observation, a shift of the whole scene changes the position alone."""
+
+
+def relative_policy() -> Policy:
+    config = small_config(ddpg={"inputs": "relative"})
+    policy = Policy.from_config(RELATIVE, config, generator=generator(), device=CPU)
+    observation, goal, _ = inputs(50)
+    policy.update_normalizers(observation, goal)
+    return policy
+
+
+def shifted(by: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    observation, goal, source = inputs()
+    observation[:, :2] += by
+    return observation, goal + by, source
+
+
+def test_relative_inputs_do_not_see_a_shift_of_the_whole_scene() -> None:
+    policy = relative_policy()
+    action = policy.act(*inputs())
+    torch.testing.assert_close(policy.act(*shifted(3.0)), action)
+    observation, goal, source = inputs()
+    assert not torch.allclose(policy.act(observation, goal + 0.3, source), action)
+    observation[:, 2:] += 0.3  # what a shift leaves as it is
+    assert not torch.allclose(policy.act(observation, goal, source), action)
+
+
+def test_absolute_inputs_see_it() -> None:
+    assert not torch.allclose(policy().act(*shifted(3.0)), policy().act(*inputs()))
+
+
+def test_the_gap_to_the_goal_is_normalised_with_its_own_statistics() -> None:
+    policy = relative_policy()
+    observation, goal, source = inputs(50)
+    width = SHAPES.obs_dim + SHAPES.goal_dim
+    gap = policy.features(observation, goal, source)[:, width : width + 2]
+    torch.testing.assert_close(gap, policy.gap_normalizer(goal - observation[:, :2]))
+    assert gap.mean(0).abs().max() < 0.1
+    assert (gap.std(0) - 1).abs().max() < 0.1
+
+
+def test_a_snapshot_with_relative_inputs_acts_identically() -> None:
+    policy = relative_policy()
+    again = Policy.from_snapshot(saved_and_loaded(policy.snapshot()), device=CPU)
+    assert torch.equal(again.act(*inputs()), policy.act(*inputs()))
+
+
+def test_a_snapshot_from_before_relative_inputs_is_read() -> None:
+    original = policy()
+    snapshot = original.snapshot()
+    for name in ("inputs", "gap_normalizer"):
+        del snapshot[name]
+    for name in ("goal_entries", "shifted_entries"):
+        del snapshot["shapes"][name]
+    again = Policy.from_snapshot(snapshot, device=CPU)
+    assert torch.equal(again.act(*inputs()), original.act(*inputs()))
+
+
+def test_statistics_of_the_gap_must_have_its_shape() -> None:
+    snapshot = relative_policy().snapshot()
+    snapshot["gap_normalizer"]["mean"] = torch.zeros(1)
+    with pytest.raises(ValueError, match=r"gap_normalizer.mean has shape \(1,\), expected \(2,\)"):
+        Policy.from_snapshot(snapshot, device=CPU)

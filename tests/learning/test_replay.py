@@ -109,6 +109,37 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
     assert (again == 3).float().mean() == pytest.approx(5 / 27, abs=0.01)
 
 
+def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() -> None:
+    lengths, weights = [12, 3, 7, 12, 1], [1.0, 0.25, 0.25, 1.0, 4.0]
+
+    def frequencies(replay: EpisodeReplay, *epoch_weights: torch.Tensor) -> torch.Tensor:
+        counts = torch.zeros(5, TICKS)
+        drawn = replay.draw(40_000, generator(), *epoch_weights)
+        counts.index_put_(drawn, torch.ones(40_000), accumulate=True)
+        assert counts[replay.every_step()].sum() == 40_000
+        return counts[replay.every_step()]
+
+    replay = replay_of()
+    for number, (length, weight) in enumerate(zip(lengths, weights, strict=True)):
+        store(replay, [marked_episode(number, length)], weight=weight)
+    a_tick = torch.tensor(weights).repeat_interleave(torch.tensor(lengths))
+    assert deviation(frequencies(replay), a_tick) < 4
+    assert deviation(frequencies(replay), torch.ones(len(a_tick))) > 50
+    assert deviation(frequencies(replay, torch.ones(2)), torch.ones(len(a_tick))) < 4
+    batch = sample(replay, 40_000, 0.8)
+    share = (batch.observation[:, 0] == 4).float().mean()
+    assert float(share) == pytest.approx(4 / float(a_tick.sum()), abs=0.01)
+
+
+def test_a_weight_goes_with_its_episode() -> None:
+    replay = replay_of(capacity=2 * TICKS)
+    for number, weight in ((0, 1.0), (1, 1e-6), (2, 1.0), (3, 1.0)):
+        store(replay, [marked_episode(number, TICKS)], weight=weight)
+        replay.draw(1, generator())
+        seen = set(sample(replay, 200, 0.0).observation[:, 0].tolist())
+        assert seen == {0: {0}, 1: {0}, 2: {2}, 3: {2, 3}}[number]
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     st.integers(0, 80),

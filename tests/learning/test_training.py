@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.policy import Policy
 from tests.learning.point_mass import SHAPES, PointMassGoals, rollout, small_config
-from tests.learning.stand_ins import CPU
+from tests.learning.stand_ins import CPU, same, saved_and_loaded
 
 ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
     "iher": {},
@@ -70,22 +69,6 @@ def success(policy: Policy) -> float:
     return float(np.mean(met))
 
 
-def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two nested states are identical to the bit."""
-    if one.keys() != other.keys():
-        return False
-    for name, value in one.items():
-        if isinstance(value, dict):
-            if not same(value, other[name]):
-                return False
-        elif isinstance(value, torch.Tensor):
-            if not torch.equal(value, other[name]):
-                return False
-        elif value != other[name]:
-            return False
-    return True
-
-
 @pytest.mark.parametrize("ablation", ABLATIONS)
 def test_it_learns_to_reach_goals_from_sparse_rewards(ablation: str) -> None:
     learner = new(config(ablation))
@@ -95,14 +78,6 @@ def test_it_learns_to_reach_goals_from_sparse_rewards(ablation: str) -> None:
     imagined = 0 if ablation == "her" else 3 * 20 * 2 * SHAPES.episode_ticks
     assert metrics[-1]["imagined_transitions"] == imagined
     assert all(np.isfinite(value) for row in metrics for value in row.values())
-
-
-def saved_and_loaded(state: dict[str, Any]) -> dict[str, Any]:
-    file = io.BytesIO()
-    torch.save(state, file)
-    file.seek(0)
-    loaded: dict[str, Any] = torch.load(file, weights_only=True)
-    return loaded
 
 
 @pytest.mark.parametrize("ablation", ["iher", "her"])

@@ -1,0 +1,208 @@
+"""Contact first: a second policy that brings the effector to the object, for exploration."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from iher_robot.learning.config import ContactConfig, LearnerConfig
+from iher_robot.learning.ddpg import DDPG
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import REAL, Array, Shapes
+from iher_robot.learning.meter import Meter
+from iher_robot.learning.policy import Policy
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.symmetry import Symmetry, augment
+
+TOUCH_WINDOW = 20
+"""Newest episodes that decide whether the object is touched often enough."""
+
+
+class ContactModel(Protocol):
+    """Where effector and object are, which the task declares. Batched over leading axes."""
+
+    @property
+    def effector_entries(self) -> tuple[int, ...]:
+        """Entries of the observation with the position of the end effector."""
+
+    def effector_position(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Position of the end effector, m. ``(..., obs_dim) -> (..., 3)``"""
+
+    def object_position(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Position of the object, m. ``(..., obs_dim) -> (..., 3)``"""
+
+
+def gap(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
+    """Distance from effector to object, m. ``(..., obs_dim) -> (...,)``"""
+    between = model.effector_position(observation) - model.object_position(observation)
+    distance: torch.Tensor = torch.linalg.vector_norm(between, dim=-1)
+    return distance
+
+
+class EffectorGoals:
+    """Goal model of the second policy: the effector's position is the goal it achieves."""
+
+    def __init__(self, model: ContactModel, radius_m: float) -> None:
+        self._model = model
+        self._radius_m = radius_m
+
+    def achieved_goal(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Position of the effector, m. ``(..., obs_dim) -> (..., 3)``"""
+        return self._model.effector_position(observation)
+
+    def compute_reward(self, achieved: torch.Tensor, desired: torch.Tensor, /) -> torch.Tensor:
+        """0 within the radius, else -1. ``(..., 3) -> (...,)``"""
+        distance: torch.Tensor = torch.linalg.vector_norm(achieved - desired, dim=-1)
+        return -(distance > self._radius_m).float()
+
+    def complete(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Nothing is imagined with these goals. ``(..., obs_dim)``"""
+        return observation
+
+    def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
+        """Refuse: every goal of this policy is an object or hindsight."""
+        raise NotImplementedError
+
+
+class ContactPolicy:
+    """The second policy as it explores.
+
+    Args:
+        policy: Its weights.
+        model: Where effector and object are.
+        config: How much it explores, and what a touch is.
+    """
+
+    def __init__(self, policy: Policy, model: ContactModel, config: ContactConfig) -> None:
+        self._policy = policy
+        self._model = model
+        self._config = config
+
+    def touches(self, observation: torch.Tensor) -> bool:
+        """Whether the effector is at the object. ``(1, obs_dim)``"""
+        return bool(gap(self._model, observation)[0] < self._config.radius_m)
+
+    def takes_over(self, generator: torch.Generator) -> bool:
+        """Draw whether a step before the touch is this policy's."""
+        return bool(torch.rand((), generator=generator) < self._config.share)
+
+    def act(self, observation: torch.Tensor) -> torch.Tensor:
+        """Action towards the object, without noise. ``(1, obs_dim) -> (1, action_dim)``"""
+        source = torch.full((len(observation),), REAL)
+        return self._policy.act(observation, self._model.object_position(observation), source)
+
+
+class ContactLearner:
+    """Trains the second policy on the real data, with positions of the effector as hindsight.
+
+    Args:
+        shapes: Sizes of the task's arrays.
+        model: Where effector and object are.
+        config: Settings of the learner; networks and optimisers are as those of the main policy.
+        seed: Seeds every draw.
+        device: Where it computes.
+    """
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        model: ContactModel,
+        config: LearnerConfig,
+        *,
+        seed: int,
+        device: torch.device,
+    ) -> None:
+        self.config = config
+        self.model = model
+        self.goals = EffectorGoals(model, config.contact.radius_m)
+        own = config.model_copy(
+            update={
+                "ddpg": config.ddpg.model_copy(
+                    update={
+                        "source_input": False,
+                        "component_critics": False,
+                        "target_update": "update",
+                    }
+                ),
+            }
+        )
+        entries = model.effector_entries
+        shapes = dataclasses.replace(shapes, goal_dim=len(entries), goal_entries=entries)
+        initial = torch.Generator().manual_seed(seed)
+        self.policy = Policy.from_config(shapes, own, generator=initial, device=device)
+        self.ddpg = DDPG(self.policy, shapes, own, generator=initial, device=device)
+        self.generator = torch.Generator(device).manual_seed(seed)
+        self._touched: deque[bool] = deque(maxlen=TOUCH_WINDOW)
+
+    def add_real(self, fresh: EpisodeReplay, episodes: Sequence[Episode]) -> None:
+        """Take in an epoch's episodes.
+
+        Args:
+            fresh: Their transitions.
+            episodes: The episodes.
+        """
+        batch = fresh.sample(fresh.num_transitions, self.generator, self.goals, future_fraction=1.0)
+        self.policy.update_normalizers(batch.observation, batch.goal)
+        self._touched.extend(self.touched(episode) for episode in episodes)
+
+    @property
+    def rests(self) -> bool:
+        """Whether the newest episodes touch the object often enough."""
+        if len(self._touched) < TOUCH_WINDOW:
+            return False
+        return float(np.mean(self._touched)) >= self.config.contact.until_touched
+
+    def touched(self, episode: Episode) -> bool:
+        """Whether the effector came to the object."""
+        distance = gap(self.model, torch.as_tensor(episode.observations))
+        return bool(distance.amin() < self.config.contact.radius_m)
+
+    def learn(self, real: EpisodeReplay, updates: int, symmetry: Symmetry | None) -> Meter:
+        """Take gradient steps, unless the object is touched often enough already.
+
+        Args:
+            real: All real data.
+            updates: How many steps.
+            symmetry: The task's, if it is used.
+
+        Returns:
+            What they report.
+        """
+        meter = Meter()
+        if self.rests:
+            return meter
+        for _ in range(updates):
+            size = self.config.schedule.workers * self.config.ddpg.batch_size
+            batch = real.sample(size, self.generator, self.goals, future_fraction=1.0)
+            # The curiosity that is stored with the data is not this policy's.
+            batch = dataclasses.replace(batch, intrinsic=torch.zeros_like(batch.intrinsic))
+            report = self.ddpg.update(augment(batch, symmetry, self.generator))
+            meter.add({"contact_critic_loss": report["critic_loss"]})
+        return meter
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that ``load_state_dict`` needs: tensors and scalars."""
+        return {
+            "policy": self.policy.snapshot(),
+            "ddpg": self.ddpg.state_dict(),
+            "generator": self.generator.get_state(),
+            "touched": list(self._touched),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self.policy.load_snapshot(state["policy"])
+        self.ddpg.load_state_dict(state["ddpg"])
+        self.generator.set_state(state["generator"].cpu())
+        self._touched.clear()
+        self._touched.extend(state["touched"])
+
+    def snapshot(self, device: torch.device) -> ContactPolicy:
+        """Copy of the policy, for an actor. It is independent of later updates."""
+        policy = Policy.from_snapshot(self.policy.snapshot(), device=device)
+        return ContactPolicy(policy, self.model, self.config.contact)

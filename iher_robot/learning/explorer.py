@@ -1,0 +1,46 @@
+"""What disturbs the policy's actions while real episodes are collected."""
+
+from __future__ import annotations
+
+import torch
+
+from iher_robot.learning.config import ExplorationConfig
+from iher_robot.learning.contact import ContactPolicy
+from iher_robot.learning.policy import explore
+
+
+class Explorer:
+    """Noise, and until the object is touched a policy that goes there.
+
+    Args:
+        config: Noise on the actions.
+        contact: The second policy; None where there is none.
+    """
+
+    def __init__(self, config: ExplorationConfig, contact: ContactPolicy | None = None) -> None:
+        self.config = config
+        self._contact = contact
+        self._touched = False
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._touched = False
+
+    def act(
+        self, observation: torch.Tensor, action: torch.Tensor, generator: torch.Generator
+    ) -> torch.Tensor:
+        """Choose what is done in place of the policy's action.
+
+        Args:
+            observation: ``(1, obs_dim)``
+            action: The policy's. ``(1, action_dim)``
+            generator: Source of randomness.
+
+        Returns:
+            Action in [-1, 1]. ``(1, action_dim)``
+        """
+        if self._contact is not None and not self._touched:
+            self._touched = self._contact.touches(observation)
+            if not self._touched and self._contact.takes_over(generator):
+                action = self._contact.act(observation)
+        return explore(action, self.config, generator)

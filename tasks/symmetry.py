@@ -1,0 +1,166 @@
+"""Shifts and mirror images in the table's plane, which leave a task as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum, auto
+from typing import ClassVar, Generic, Literal
+
+from tasks.arrays import ArrayT, copied
+from tasks.layout import ObservationLayout
+
+Corner = tuple[float, float]
+Plane = Literal["x", "y"]
+
+_AXES = 3
+
+
+class Kind(StrEnum):
+    """What an entry of an observation is, for maps of space.
+
+    Attributes:
+        POSITION: A point: x, y, z.
+        VECTOR: A difference of points, or a velocity.
+        AXIAL: An angular velocity, or Euler angles about x, y and z: a mirror image keeps the
+            part about its normal and turns the others round.
+        FINGERS: Right and left finger, which a mirror image with normal y exchanges.
+    """
+
+    POSITION = auto()
+    VECTOR = auto()
+    AXIAL = auto()
+    FINGERS = auto()
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneMap(Generic[ArrayT]):
+    """One map a row: some mirror images, then a shift. All of it is batched over rows.
+
+    Attributes:
+        symmetry: What it is a map of.
+        sign: 1 or -1 an axis, -1 where it is mirrored. ``(batch, 3)``
+        offset: What is added to a position after ``sign`` multiplied it, m. ``(batch, 3)``
+    """
+
+    symmetry: PlaneSymmetry
+    sign: ArrayT
+    offset: ArrayT
+
+    def observation(self, observation: ArrayT) -> ArrayT:
+        """Map observations; a new array. ``(batch, obs_dim)``"""
+        image = copied(observation)
+        for name, kind in self.symmetry.kinds.items():
+            where = self.symmetry.layout.slices[name]
+            image[..., where] = self._entry(kind, observation[..., where])
+        return image
+
+    def action(self, action: ArrayT) -> ArrayT:
+        """Map actions: dx, dy, dz, then what has no direction. ``(batch, action_dim)``"""
+        image = copied(action)
+        image[..., :_AXES] = self.sign * action[..., :_AXES]
+        return image
+
+    def goal(self, goal: ArrayT) -> ArrayT:
+        """Map goals, which are positions, m. ``(batch, 3)``"""
+        return self._entry(Kind.POSITION, goal)
+
+    def _entry(self, kind: Kind, value: ArrayT) -> ArrayT:
+        if kind is Kind.FINGERS:
+            keep: ArrayT = (self.sign[..., 1:2] + 1.0) / 2.0
+            swapped: ArrayT = keep * value + (1.0 - keep) * value[..., [1, 0]]
+            return swapped
+        image: ArrayT = self.sign * value
+        if kind is Kind.POSITION:
+            image = image + self.offset
+        elif kind is Kind.AXIAL:
+            image = self.sign[..., 0:1] * self.sign[..., 1:2] * image
+        return image
+
+
+class PlaneSymmetry:
+    """Shifts along the table and mirror images in upright planes.
+
+    Neither changes what happens, as long as gripper and object stay where the table is level
+    and the arm moves freely: within `area`. A step that begins or ends outside of it, for the
+    gripper or the object, is mapped to itself.
+
+    The rows' maps follow from numbers in [0, 1) that the caller draws, `draws` of them a row.
+    """
+
+    draws: ClassVar[int] = 4
+
+    def __init__(
+        self,
+        layout: ObservationLayout,
+        kinds: Mapping[str, Kind],
+        *,
+        area: tuple[Corner, Corner],
+        shift_m: float = 0.1,
+        mirrors: Sequence[Plane] = ("x", "y"),
+    ) -> None:
+        """Say what may be done to the observations of a layout.
+
+        Args:
+            layout: Layout of the observations.
+            kinds: What each of its entries is.
+            area: Lower and upper corner, x and y in the robot's frame, m.
+            shift_m: Largest shift along each of the two axes, m.
+            mirrors: Normals of the planes of the mirror images; the planes halve the area.
+
+        Raises:
+            ValueError: If `kinds` does not name exactly the entries of the layout.
+        """
+        if set(kinds) != set(layout.names):
+            raise ValueError(f"kinds of {sorted(kinds)}, the layout has {sorted(layout.names)}")
+        self.layout = layout
+        self.kinds = dict(kinds)
+        self.mirrors = tuple(mirrors)
+        self._shift_m = shift_m
+        (x_low, y_low), (x_high, y_high) = area
+        self._centre = ((x_low + x_high) / 2.0, (y_low + y_high) / 2.0)
+        self._half = ((x_high - x_low) / 2.0, (y_high - y_low) / 2.0)
+        bounded = [layout.effector]
+        if layout.object_entry is not None:
+            bounded.append(layout.object_entry)
+        self._bounded = [layout.slices[name].start for name in bounded]
+
+    @property
+    def shifted(self) -> tuple[int, ...]:
+        """Entries of the observation that a shift changes: x and y of every position."""
+        starts = [
+            self.layout.slices[name].start
+            for name, kind in self.kinds.items()
+            if kind is Kind.POSITION
+        ]
+        return tuple(start + axis for start in starts for axis in (0, 1))
+
+    def choose(self, uniform: ArrayT, start: ArrayT, end: ArrayT) -> PlaneMap[ArrayT]:
+        """Choose a map for each step.
+
+        Args:
+            uniform: Numbers in [0, 1). ``(batch, draws)``
+            start: Observations before the step. ``(batch, obs_dim)``
+            end: Observations after it; ``start`` again where there is no step.
+
+        Returns:
+            The maps, the identity where the step is not within the area.
+        """
+        sign, offset = copied(start[..., :_AXES]), copied(start[..., :_AXES])
+        sign[...], offset[...] = 1.0, 0.0
+        inside = uniform[..., 0] >= 0.0
+        for axis, name in enumerate(("x", "y")):
+            centre, half = self._centre[axis], self._half[axis]
+            places = [o[..., at + axis] - centre for o in (start, end) for at in self._bounded]
+            if name in self.mirrors:
+                sign[..., axis] = 1.0 - 2.0 * (uniform[..., axis] < 0.5)
+            least = greatest = sign[..., axis] * places[0]
+            for place in places[1:]:
+                least = least.clip(None, sign[..., axis] * place)
+                greatest = greatest.clip(sign[..., axis] * place, None)
+            inside = inside & (least >= -half) & (greatest <= half)
+            shift = (2.0 * uniform[..., 2 + axis] - 1.0) * self._shift_m
+            shift = shift.clip(-half - least, None).clip(None, half - greatest)
+            offset[..., axis] = centre - sign[..., axis] * centre + shift
+        sign[~inside], offset[~inside] = 1.0, 0.0
+        return PlaneMap(self, sign, offset)
