@@ -33,6 +33,7 @@ class Kinematics:
     Attributes:
         model: The compiled model, of the arm alone.
         guard_radii: Radius of each guarded sphere, m. ``(n_guards,)``
+        guarded_sites: Sites of the model in the order of `guarded_points`. ``(1 + n_guards,)``
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -51,8 +52,9 @@ class Kinematics:
         if EE_SITE not in names:
             raise InvalidSpec(f"kinematic model of {spec.name} has no site {EE_SITE!r}; add one")
         self._ee = names.index(EE_SITE)
-        self._guards = [i for i, name in enumerate(names) if name.startswith(GUARD_PREFIX)]
-        self.guard_radii: Array = self.model.site_size[self._guards, 0].copy()
+        guards = [i for i, name in enumerate(names) if name.startswith(GUARD_PREFIX)]
+        self.guarded_sites = np.array([self._ee, *guards])
+        self.guard_radii: Array = self.model.site_size[guards, 0].copy()
         self._data = mujoco.MjData(self.model)
         self._jacp = np.zeros((3, self.model.nv))
         model_and_data = (self.model, self._data)
@@ -92,7 +94,7 @@ class Kinematics:
             In the spec's frame. ``(1 + n_guards, 3)``
         """
         self._place(q)
-        return np.array(self._data.site_xpos[[self._ee, *self._guards]])
+        return np.array(self._data.site_xpos[self.guarded_sites])
 
     def _place(self, q: Array) -> None:
         self._data.qpos[:] = q

@@ -39,6 +39,32 @@ class Region:
             inside.append(sizes - distance - np.minimum(beyond.max(axis=-1), 0.0))
         return {Clip.WORKSPACE: outside, Clip.KEEP_OUT: np.concatenate(inside)}
 
+    def gradients(self, points: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return which point each of `depths` is that of, and how it grows as this point moves.
+
+        Args:
+            points: As for `depths`. ``(n_points, 3)``
+
+        Returns:
+            In the order of `depths`: indices of points ``(n_depths,)``, and unit vectors
+            towards the limit's nearest face, edge or corner, into it ``(n_depths, 3)``.
+        """
+        sides = np.eye(3)
+        into = [-sides, sides]
+        for centre, half in zip(self._centres, self._halves, strict=True):
+            offset = points - centre
+            beyond = np.abs(offset) - half
+            way = np.maximum(beyond, 0.0)
+            distance = np.linalg.norm(way, axis=-1, keepdims=True)
+            outside = distance > 0.0
+            way = np.where(
+                outside, way / np.where(outside, distance, 1.0), sides[beyond.argmax(-1)]
+            )
+            into.append(np.where(offset < 0.0, way, -way))
+        n_points = len(points)
+        owners = np.concatenate([np.zeros(6, int), np.tile(np.arange(n_points), len(into) - 2)])
+        return owners, np.concatenate(into)
+
     @staticmethod
     def exceeded(depths: dict[Clip, Array], allowed: dict[Clip, Array], slack: float) -> list[Clip]:
         """Name the limits that are exceeded by more than they are already.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers import AppliedCommand, JointCommand, JointSetpoint, Kinematics, RobotSpec, RobotState
 from drivers.kinematics import EE_SITE
+from iher_robot.clearance import APPROACH_GAIN, ClearanceLimit
 from iher_robot.errors import NoSolution
 
 Array = NDArray[np.float64]
@@ -22,6 +23,9 @@ _POSTURE_GAIN = 0.1  # with 1 the elbow would swing to its posture within a tick
 _DAMPING_COST = 0.015
 _MAX_LEAD_M = 0.04
 _MARGIN_M = 0.006
+_CLEARANCE_M = 0.005
+# Joints brake together, the torso in five ticks: what gets to its range's end stops the rest.
+_RANGE_GAIN = 0.2
 _OUTSIDE = 1e-6  # rad or m beyond a joint limit that rounding may cause
 _AS_ASKED = 0.02
 
@@ -32,8 +36,9 @@ class JointController:
     An action of 1 asks for the velocity of `ActionSpec.position_scale_m` per tick, to be
     reached at the end of the tick. The joint velocities for it come from one step of
     differential inverse kinematics, from the setpoint that the robot reports and never from an
-    earlier request, with the orientation of home, within the velocity limits of every joint
-    and within their ranges. It keeps nothing from one tick to the next.
+    earlier request, with the orientation of home, within the velocity limits of every joint,
+    within their ranges, and clear of the workspace's sides and of what must be kept out of: where
+    the arm comes near it slides along. It keeps nothing from one tick to the next.
     """
 
     kind: ClassVar[str] = JointCommand.kind
@@ -69,7 +74,15 @@ class JointController:
         self._farthest = np.array(spec.limits.workspace.upper) - _MARGIN_M
         # Without an entry a joint has no limit at all.
         speeds = {name: np.array([joint.max_velocity]) for name, joint in limits.items()}
-        self._limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
+        joint_limits = [
+            mink.ConfigurationLimit(model, gain=_RANGE_GAIN),
+            mink.VelocityLimit(model, speeds),
+        ]
+        # Resting is within the second: parts that are led out of a margin can be in conflict.
+        self._limits = [
+            [*joint_limits, ClearanceLimit(spec, self._kinematics, _CLEARANCE_M, retreats)]
+            for retreats in (True, False)
+        ]
 
     @property
     def settings(self) -> Mapping[str, bool | int | float | str]:
@@ -80,6 +93,9 @@ class JointController:
             "orientation_cost": _ORIENTATION_COST,
             "posture_cost": _POSTURE_COST,
             "max_lead_m": _MAX_LEAD_M,
+            "clearance_m": _CLEARANCE_M,
+            "approach_gain": APPROACH_GAIN,
+            "range_gain": _RANGE_GAIN,
         }
 
     def command(self, action: NDArray[np.floating], state: RobotState) -> JointCommand:
@@ -134,18 +150,20 @@ class JointController:
         rotation = mink.SO3(np.array(self._spec.home.ee_quat))
         self._frame.set_target(mink.SE3.from_rotation_and_translation(rotation, target))
         try:
-            dq = mink.solve_ik(
-                self._configuration,
-                self._tasks,
-                self._spec.control_period_s,
-                solver="daqp",
-                limits=self._limits,
-            )
+            return self._solve(self._limits[0])
+        except mink.NoSolutionFound:
+            pass
+        try:
+            return self._solve(self._limits[1])
         except mink.NoSolutionFound as error:
             raise NoSolution(
                 f"no joint motion of {self._spec.name} within its limits follows the action "
                 f"{np.round(action, 3).tolist()}; the robot holds"
             ) from error
+
+    def _solve(self, limits: list[mink.Limit]) -> Array:
+        period_s = self._spec.control_period_s
+        dq = mink.solve_ik(self._configuration, self._tasks, period_s, "daqp", limits=limits)
         return np.asarray(dq, dtype=np.float64)
 
     def _require_inside(self, q: Array) -> None:

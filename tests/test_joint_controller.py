@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -108,6 +109,33 @@ def test_no_joint_is_asked_for_more_than_its_speed(env: GoalRobotEnv) -> None:
     command = env.controller.command(far, state)
     assert isinstance(command, JointCommand)
     assert (np.abs(command.dq) <= speeds(env) * (1 + 1e-6)).all()
+
+
+WAYS = [*itertools.product((-1.0, 1.0), repeat=3), (-1.0, 0.0, 0.0)]
+
+
+def share_left(env: GoalRobotEnv, out: Array, ticks: int) -> float:
+    """Hold an action, then go to above home for 50 ticks; return the share of the way left."""
+    env.reset(seed=0)
+    spec = env.robot_spec
+    above = np.add(spec.home.ee_pos, (0.0, 0.0, 0.1))
+    for _ in range(ticks):
+        env.step(out)
+    distance_m = np.linalg.norm(above - env.driver.read().ee_pos)
+    for _ in range(50):
+        way = above - env.driver.read().ee_pos
+        env.step(np.append(way / spec.action.position_scale_m, 0.0))
+    return float(np.linalg.norm(above - env.driver.read().ee_pos) / distance_m)
+
+
+@pytest.mark.parametrize("task", ["reach", "push"])
+def test_from_wherever_an_action_takes_the_arm_it_comes_back(task: str) -> None:
+    rng = np.random.default_rng(0)
+    with make_env(task) as made:
+        corners = {way: share_left(made, np.append(way, 0.0), 50) for way in WAYS}
+        drawn = [share_left(made, rng.uniform(-1, 1, 4), 25) for _ in range(20)]
+    assert {way: left for way, left in corners.items() if left > 0.05} == {}
+    assert max(drawn) < 0.05
 
 
 def test_a_setpoint_outside_a_limit_is_not_followed(env: GoalRobotEnv) -> None:
