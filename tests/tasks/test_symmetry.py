@@ -12,8 +12,8 @@ from gymnasium_robotics.utils import rotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tasks.push import Push
 from tasks import TASKS, GoalTask, InvalidFrame, TaskFrame, make_task
+from tasks.push import Push
 from tasks.rotation import quat_to_euler
 from tasks.symmetry import Kind, PlaneMap, PlaneSymmetry
 from tasks.tabletop import OBJECT_KINDS, OBJECT_LAYOUT
