@@ -15,7 +15,7 @@ import torch
 
 from iher_robot.durable_file import seal_zip
 from iher_robot.errors import UserError
-from iher_robot.policy_file import PolicyFile, check_task, load_policy, save_policy
+from iher_robot.policy_file import VERSION, PolicyFile, check_task, load_policy, save_policy
 
 
 def make_policy() -> PolicyFile:
@@ -79,7 +79,7 @@ def test_torch_reads_the_file_with_weights_only(path: Path) -> None:
     content = torch.load(path, weights_only=True)
     assert (content["format"], content["version"], content["task"]) == (
         "iher-robot policy",
-        1,
+        VERSION,
         "push",
     )
 
@@ -161,7 +161,10 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, sealed: bool, as_torch: b
     ("change", "message"),
     [
         (lambda c: c.update(format="other"), "no policy file"),
-        (lambda c: c.update(version=2), "policy format 2, this iher-robot reads up to 1"),
+        (
+            lambda c: c.update(version=VERSION + 1),
+            rf"policy format {VERSION + 1}, this iher-robot reads up to {VERSION}",
+        ),
         (lambda c: c.update(version="1"), "version is '1'"),
         (lambda c: c.update(version=0), "version is 0"),
         (lambda c: (c.pop("layout"), c.pop("trained")), "has no layout, trained"),

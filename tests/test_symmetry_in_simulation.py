@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 import pytest
@@ -25,7 +24,8 @@ class Allowed:
     """Bounds of the errors: medians and 95th percentiles.
 
     Attributes:
-        drift: Of the gripper's position over an episode of free motion, 95th percentile, m.
+        drift: Of the gripper's position since an episode of free motion began, median, m. Above it
+            there is no bound: one tick with the arm at a joint's limit shifts the rest.
         free: Of its position in a tick of free motion, m.
         pushed: Of the object's position in a tick of contact, m.
         turned: Of the object's angles in a tick of contact, rad.
@@ -37,25 +37,26 @@ class Allowed:
     turned: tuple[float, float]
 
 
-# About twice what 20 episodes of the worst of the three tasks show. In the median a tick of free
-# motion is 11 to 14 mm, and one of contact moves the object by 5 to 20 mm and turns it by 0.05 rad.
+# About twice what 8 (drift) or 20 episodes of the worst of the three tasks show. In the median a tick
+# of free motion is 11 to 14 mm, and one of contact moves the object by 5 to 20 mm and turns it by
+# 0.05 rad.
 #
 #   measured           drift, mm   free, mm      pushed, mm   turned, rad
-#   mocap  mirror y          0.6   0.004  0.03   0.06  1.5    0.010  0.04
-#   mocap  mirror x          3.5   0.16   0.5    0.20  1.0    0.010  0.03
-#   mocap  shift             2.1   0.07   0.7    0.08  3.4    0.002  0.03
-#   joint  mirror y          3.1   0.05   0.4    0.08  0.6    0.001  0.02
-#   joint  mirror x         71     1.9    4.9    1.7   4.3    0.024  0.10
-#   joint  shift            12     0.45   4.2    0.46  1.2    0.009  0.04
+#   mocap  mirror y          0.2   0.004  0.03   0.06  1.5    0.010  0.04
+#   mocap  mirror x          2.5   0.16   0.5    0.20  1.0    0.010  0.03
+#   mocap  shift             0.7   0.08   0.7    0.08  3.4    0.002  0.03
+#   joint  mirror y          0.6   0.05   0.4    0.08  0.6    0.001  0.02
+#   joint  mirror x         24     1.9    4.9    1.7   4.3    0.024  0.10
+#   joint  shift             6.4   0.6    4.2    0.46  1.2    0.009  0.04
 ALLOWED = {
-    ("mocap", "mirror y"): Allowed(0.0012, (1e-5, 1e-4), (2e-4, 3e-3), (0.02, 0.08)),
-    ("mocap", "mirror x"): Allowed(0.007, (4e-4, 1.2e-3), (5e-4, 3e-3), (0.02, 0.08)),
-    ("mocap", "shift"): Allowed(0.005, (2e-4, 2e-3), (3e-4, 5e-3), (0.005, 0.06)),
-    ("joint", "mirror y"): Allowed(0.006, (1.2e-4, 1e-3), (2.5e-4, 2e-3), (0.005, 0.05)),
-    # Folded and stretched the arm meets the limits of its joints elsewhere: nothing bounds the
-    # drift, and a tick's error is a seventh of its motion.
-    ("joint", "mirror x"): Allowed(inf, (3e-3, 1e-2), (3e-3, 8e-3), (0.05, 0.2)),
-    ("joint", "shift"): Allowed(0.024, (1e-3, 6e-3), (1e-3, 3e-3), (0.02, 0.08)),
+    ("mocap", "mirror y"): Allowed(0.0006, (1e-5, 1e-4), (2e-4, 3e-3), (0.02, 0.08)),
+    ("mocap", "mirror x"): Allowed(0.005, (4e-4, 1.2e-3), (5e-4, 3e-3), (0.02, 0.08)),
+    ("mocap", "shift"): Allowed(0.002, (2e-4, 2e-3), (3e-4, 5e-3), (0.005, 0.06)),
+    ("joint", "mirror y"): Allowed(0.0015, (1.2e-4, 1e-3), (2.5e-4, 2e-3), (0.005, 0.05)),
+    # Folded and stretched the arm meets the limits of its joints elsewhere: a tick's error is a
+    # seventh of its motion.
+    ("joint", "mirror x"): Allowed(0.05, (3e-3, 1e-2), (3e-3, 8e-3), (0.05, 0.2)),
+    ("joint", "shift"): Allowed(0.013, (1.2e-3, 6e-3), (1e-3, 3e-3), (0.02, 0.08)),
 }
 
 
@@ -167,14 +168,15 @@ def assert_within(errors: Array, entry: str, bounds: tuple[float, float]) -> Non
 
 
 def test_an_image_of_free_motion_is_the_motion_of_the_image(pair: Twins, name: str) -> None:
-    errors, drifts = free_ticks(pair, name, episodes=4)
-    assert len(errors) >= 60
+    errors, drifts = free_ticks(pair, name, episodes=8)
+    assert len(errors) >= 120
     bounds = allowed(pair, name)
     assert_within(errors, "gripper_pos", bounds.free)
     assert_within(errors, "gripper_vel", bounds.free)
     assert_within(errors, "object_rel", bounds.free)
-    assert spread(drifts, "gripper_pos")[1] <= bounds.drift
-    assert size(drifts, "object_pos").max() < 1e-6  # which nothing touches
+    assert spread(drifts, "gripper_pos")[0] <= bounds.drift
+    # Nothing touches it, or only between the ends of two ticks.
+    assert np.median(size(drifts, "object_pos")) < 1e-6
 
 
 def test_an_image_of_contact_is_the_contact_of_the_image(pair: Twins, name: str) -> None:
