@@ -133,7 +133,7 @@ class TrainingRun:
     def _collect(self) -> None:
         """Collect the epoch's real episodes, as far as the budget goes."""
         wanted = self.config.learner.schedule.real_episodes
-        policy = Policy.from_snapshot(self.learner.policy.snapshot(), device=CPU)
+        policy = self.learner.acting_policy(CPU)
         explorer = self.learner.explorer(CPU)
         while len(self.pending) < wanted and not self._spent:
             self.display.phase("collect", len(self.pending), wanted)
@@ -218,7 +218,7 @@ class TrainingRun:
         # Its number follows from the epoch, so that a resumed run draws the same episodes.
         first = self.learner.epoch * count
         seeds = [episode_seed(self.config.seed, Stream.EVALUATION, first + i) for i in range(count)]
-        policy = Policy.from_snapshot(self.learner.policy.snapshot(), device=CPU)
+        policy = self.learner.acting_policy(CPU)
         ticks = self.cell.env.task.episode_ticks
 
         def run_one(seed: int) -> Recorder:
@@ -250,7 +250,9 @@ class TrainingRun:
         self.writer.flush()
         save_policy(
             self.directory.policy_path,
-            trained_policy(self.learner.policy, self.cell.env, self.config, self.provenance, row),
+            trained_policy(
+                self.learner.acting_policy(CPU), self.cell.env, self.config, self.provenance, row
+            ),
         )
         save_checkpoint(
             self.directory.checkpoint_path,

@@ -72,7 +72,7 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         simulator = None
         if not env.driver.spec.physical:
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
-        symmetry = env.task.symmetry
+        symmetry = env.task.symmetry(rough=config.learner.symmetry.rough)
         shapes = Shapes(
             obs_dim=env.task.layout.obs_dim,
             goal_dim=env.task.goal_dim,

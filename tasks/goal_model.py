@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +109,16 @@ class GoalModel(ABC):
     def is_success(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
         """Return 1 where a goal is reached, else 0. ``(...,)``"""
         return (self.distance(achieved, desired) < self.threshold) * 1.0
+
+    def tightened(self, share: float) -> Self:
+        """Return the same goals with a stricter reward, for learning.
+
+        Args:
+            share: What is left of the threshold, above 0 and at most 1.
+        """
+        strict = copy.copy(self)
+        strict.threshold = share * self.threshold
+        return strict
 
     def complete(self, obs: ArrayT) -> ArrayT:
         """Recompute the entries that follow from others, such as object relative to gripper.

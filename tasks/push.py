@@ -12,4 +12,5 @@ class Push(TabletopTask):
     name = "push"
     scene = "push"
     blocks_gripper = True
+    rough_mirrors = ("xy",)  # closed, the fingers are about as wide as thick
     default_frame = TaskFrame()

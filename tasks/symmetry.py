@@ -11,7 +11,7 @@ from tasks.arrays import ArrayT, copied
 from tasks.layout import ObservationLayout
 
 Corner = tuple[float, float]
-Plane = Literal["x", "y"]
+Plane = Literal["x", "y", "xy"]
 
 _AXES = 3
 
@@ -39,11 +39,13 @@ class PlaneMap(Generic[ArrayT]):
 
     Attributes:
         symmetry: What it is a map of.
+        diagonal: 1 where x and y are exchanged first, else 0. ``(batch, 1)``
         sign: 1 or -1 an axis, -1 where it is mirrored. ``(batch, 3)``
         offset: What is added to a position after ``sign`` multiplied it, m. ``(batch, 3)``
     """
 
     symmetry: PlaneSymmetry
+    diagonal: ArrayT
     sign: ArrayT
     offset: ArrayT
 
@@ -58,7 +60,7 @@ class PlaneMap(Generic[ArrayT]):
     def action(self, action: ArrayT) -> ArrayT:
         """Map actions: dx, dy, dz, then what has no direction. ``(batch, action_dim)``"""
         image = copied(action)
-        image[..., :_AXES] = self.sign * action[..., :_AXES]
+        image[..., :_AXES] = self.sign * self._exchanged(action[..., :_AXES])
         return image
 
     def goal(self, goal: ArrayT) -> ArrayT:
@@ -70,12 +72,17 @@ class PlaneMap(Generic[ArrayT]):
             keep: ArrayT = (self.sign[..., 1:2] + 1.0) / 2.0
             swapped: ArrayT = keep * value + (1.0 - keep) * value[..., [1, 0]]
             return swapped
-        image: ArrayT = self.sign * value
+        image: ArrayT = self.sign * self._exchanged(value)
         if kind is Kind.POSITION:
             image = image + self.offset
         elif kind is Kind.AXIAL:
-            image = self.sign[..., 0:1] * self.sign[..., 1:2] * image
+            turned = self.sign[..., 0:1] * self.sign[..., 1:2] * (1.0 - 2.0 * self.diagonal)
+            image = turned * image
         return image
+
+    def _exchanged(self, value: ArrayT) -> ArrayT:
+        exchanged: ArrayT = self.diagonal * value[..., [1, 0, 2]] + (1.0 - self.diagonal) * value
+        return exchanged
 
 
 class PlaneSymmetry:
@@ -83,12 +90,14 @@ class PlaneSymmetry:
 
     Neither changes what happens, as long as gripper and object stay where the table is level
     and the arm moves freely: within `area`. A step that begins or ends outside of it, for the
-    gripper or the object, is mapped to itself.
+    gripper or the object, is mapped to itself. The mirror image in the diagonal, which exchanges
+    x and y, is that of a gripper which is as wide as it is thick, and of an object that lies flat:
+    the Euler angles of a tilted one are taken about the axes in another order.
 
     The rows' maps follow from numbers in [0, 1) that the caller draws, `draws` of them a row.
     """
 
-    draws: ClassVar[int] = 4
+    draws: ClassVar[int] = 5
 
     def __init__(
         self,
@@ -106,7 +115,8 @@ class PlaneSymmetry:
             kinds: What each of its entries is.
             area: Lower and upper corner, x and y in the robot's frame, m.
             shift_m: Largest shift along each of the two axes, m.
-            mirrors: Normals of the planes of the mirror images; the planes halve the area.
+            mirrors: Normals of the planes of the mirror images, which halve the area, and ``xy``
+                for the diagonal.
 
         Raises:
             ValueError: If `kinds` does not name exactly the entries of the layout.
@@ -149,9 +159,16 @@ class PlaneSymmetry:
         sign, offset = copied(start[..., :_AXES]), copied(start[..., :_AXES])
         sign[...], offset[...] = 1.0, 0.0
         inside = uniform[..., 0] >= 0.0
+        diagonal = self._diagonal(uniform, start, end)
         for axis, name in enumerate(("x", "y")):
             centre, half = self._centre[axis], self._half[axis]
-            places = [o[..., at + axis] - centre for o in (start, end) for at in self._bounded]
+            other = self._centre[1 - axis]
+            places = [
+                diagonal * (o[..., at + 1 - axis] - other)
+                + (1.0 - diagonal) * (o[..., at + axis] - centre)
+                for o in (start, end)
+                for at in self._bounded
+            ]
             if name in self.mirrors:
                 sign[..., axis] = 1.0 - 2.0 * (uniform[..., axis] < 0.5)
             least = greatest = sign[..., axis] * places[0]
@@ -161,6 +178,21 @@ class PlaneSymmetry:
             inside = inside & (least >= -half) & (greatest <= half)
             shift = (2.0 * uniform[..., 2 + axis] - 1.0) * self._shift_m
             shift = shift.clip(-half - least, None).clip(None, half - greatest)
-            offset[..., axis] = centre - sign[..., axis] * centre + shift
-        sign[~inside], offset[~inside] = 1.0, 0.0
-        return PlaneMap(self, sign, offset)
+            moved = diagonal * other + (1.0 - diagonal) * centre
+            offset[..., axis] = centre - sign[..., axis] * moved + shift
+        sign[~inside], offset[~inside], diagonal[~inside] = 1.0, 0.0, 0.0
+        return PlaneMap(self, diagonal[..., None], sign, offset)
+
+    def _diagonal(self, uniform: ArrayT, start: ArrayT, end: ArrayT) -> ArrayT:
+        """1 for x and y exchanged, in half of the rows inside both ways. ``(batch,)``"""
+        least = min(self._half)
+        chosen = uniform[..., 4] < (0.5 if "xy" in self.mirrors else 0.0)
+        for o in (start, end):
+            for at in self._bounded:
+                for axis in (0, 1):
+                    place = o[..., at + axis] - self._centre[axis]
+                    chosen = chosen & (abs(place) <= least)
+        exchanged = copied(start[..., 0])
+        exchanged[...] = 0.0
+        exchanged[chosen] = 1.0
+        return exchanged

@@ -33,6 +33,7 @@ class GoalTask(ABC):
         default_frame: Fetch's constants.
         kinds: What each entry of its observations is, for `symmetry`; empty without one.
         mirrors: Normals of the upright planes whose mirror images leave the task as it is.
+        rough_mirrors: Those whose mirror images do so only roughly; ``xy`` for the diagonal.
     """
 
     name: ClassVar[str]
@@ -43,6 +44,7 @@ class GoalTask(ABC):
     default_frame: ClassVar[TaskFrame]
     kinds: ClassVar[Mapping[str, Kind]] = {}
     mirrors: ClassVar[tuple[Plane, ...]] = ("x", "y")
+    rough_mirrors: ClassVar[tuple[Plane, ...]] = ()
 
     def __init__(self, frame: TaskFrame | None = None, spec: RobotSpec | None = None) -> None:
         """Set the task up.
@@ -96,9 +98,14 @@ class GoalTask(ABC):
         """Goals and rewards as pure functions of observations."""
         return self._make_goal_model()
 
-    @cached_property
-    def symmetry(self) -> PlaneSymmetry | None:
-        """Maps that leave dynamics and reward as they are; None where no kinds are declared.
+    def symmetry(self, *, rough: bool = False) -> PlaneSymmetry | None:
+        """Return the maps that leave dynamics and reward as they are.
+
+        Args:
+            rough: Whether those are among them that do so only roughly.
+
+        Returns:
+            The maps; None where no kinds are declared.
 
         Raises:
             UnboundTask: If the task knows no robot yet.
@@ -108,7 +115,8 @@ class GoalTask(ABC):
         (x_low, y_low), (x_high, y_high) = self.frame.even_area
         x, y, _ = self.home
         area = ((x + x_low, y + y_low), (x + x_high, y + y_high))
-        return PlaneSymmetry(self.layout, self.kinds, area=area, mirrors=self.mirrors)
+        mirrors = self.mirrors + self.rough_mirrors * rough
+        return PlaneSymmetry(self.layout, self.kinds, area=area, mirrors=mirrors)
 
     @property
     def contact_model(self) -> GoalModel | None:

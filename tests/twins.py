@@ -68,18 +68,19 @@ class Twins:
 
     def __init__(self, first: GoalRobotEnv, second: GoalRobotEnv) -> None:
         self.first, self.second = first, second
-        symmetry = first.task.symmetry
+        symmetry = first.task.symmetry(rough=True)
         assert symmetry is not None
         self.symmetry = symmetry
         self.home = np.array(first.task.home)
 
-    def start(self, place: Array, sign: Array, shift: Array) -> Array:
+    def start(self, place: Array, sign: Array, shift: Array, *, diagonal: bool = False) -> Array:
         """Start with the object somewhere, the second gripper where the image is.
 
         Args:
             place: Of the object, from home in the plane, m. ``(2,)``
             sign: 1 or -1 an axis, mirrored about home. ``(3,)``
             shift: Then added, m. ``(3,)``
+            diagonal: Whether x and y are exchanged before.
 
         Returns:
             The first one's observation.
@@ -90,13 +91,15 @@ class Twins:
         pose[:2] = self.home[:2] + place
         put_object(self.first, pose, velocity)
         away = pose.copy()
-        away[:2] = self.home[:2] + sign[:2] * place + shift[:2]
+        order = [1, 0, 2] if diagonal else [0, 1, 2]
+        away[:2] = self.home[:2] + sign[:2] * place[order[:2]] + shift[:2]
         put_object(self.second, away, velocity)
-        offset = (1.0 - sign) * self.home
+        offset = self.home - sign * self.home[order]
         if shift.any():
             offset = offset + self._moved_apart(shift)
             pose, velocity = object_state(self.first)
-        self.map = PlaneMap(self.symmetry, sign[None], (offset * [1.0, 1.0, 0.0])[None])
+        exchanged = np.full((1, 1), float(diagonal))
+        self.map = PlaneMap(self.symmetry, exchanged, sign[None], (offset * [1.0, 1.0, 0.0])[None])
         return self.match_object()
 
     def _moved_apart(self, shift: Array) -> Array:
@@ -118,10 +121,12 @@ class Twins:
     def match_object(self) -> Array:
         """Make the second object the exact image of the first; returns the first observation."""
         pose, velocity = object_state(self.first)
-        sign = self.map.sign[0]
-        axial = sign[0] * sign[1] * sign[2] * sign
-        image = np.concatenate([self.map.goal(pose[None, :3])[0], pose[3:4], axial * pose[4:]])
-        spun = np.concatenate([sign * velocity[:3], axial * velocity[3:]])
+        space = np.diag(self.map.sign[0])
+        if self.map.diagonal[0, 0]:
+            space = space[:, [1, 0, 2]]
+        axial = np.linalg.det(space) * space
+        image = np.concatenate([self.map.goal(pose[None, :3])[0], pose[3:4], axial @ pose[4:]])
+        spun = np.concatenate([space @ velocity[:3], axial @ velocity[3:]])
         one = put_object(self.first, pose, velocity)
         self._compare(one, put_object(self.second, image, spun))
         return one
@@ -149,7 +154,7 @@ class Twins:
         for env in (self.first, self.second):
             assert env._state is not None
             observation = env.task.observation(env._state)[None]
-            centre = self.symmetry.choose(np.full((1, 4), 0.75), observation, observation)
+            centre = self.symmetry.choose(np.full((1, 5), 0.75), observation, observation)
             if not centre.offset.any():  # outside, every map is the identity
                 return False
         return True

@@ -69,6 +69,9 @@ class DDPGConfig(Section):
     is achieved, and of both only what a shift of the whole scene leaves as it is."""
     layer_norm: bool = False
     """Normalise each hidden layer of the critics (Ball et al. 2023, RLPD)."""
+    policy_average: Annotated[float | None, OR_OFF] = Field(None, gt=0.0, lt=1.0)
+    """Share of the actor that enters a running mean of its weights at each update; the mean acts,
+    in real episodes and as the result. ``off`` acts with the newest weights."""
     component_critics: bool = False
     """Critics of their own for extrinsic and intrinsic reward; the actor maximises the sum."""
     batch_size: int = Field(256, ge=1)
@@ -115,6 +118,10 @@ class ReplayConfig(Section):
     by more than ``moved_m``: there hindsight teaches little."""
     moved_m: float = Field(0.01, gt=0.0)
     """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
+    tolerance: float = Field(1.0, gt=0.0, le=1.0)
+    """Share of the task's own tolerance within which a goal counts as reached while learning: a
+    policy that learned to stop at the very edge misses it half of the time. Success is judged by
+    the task's own."""
     normalizer_clip: float = Field(5.0, gt=0.0)
     """Normalised inputs of the policy are clipped to this many standard deviations."""
     normalizer_std_floor: float = Field(0.01, gt=0.0)
@@ -200,6 +207,8 @@ class SymmetryConfig(Section):
     enabled: bool = False
     """Replace every transition that is sampled, for the policy and for the models, and every
     start of an imaginary rollout, by a random image of it."""
+    rough: bool = False
+    """Among the maps are those that the task declares to hold only roughly."""
 
 
 class ContactConfig(Section):
@@ -208,13 +217,30 @@ class ContactConfig(Section):
     enabled: bool = False
     """Train it, by hindsight on the same real data, and let it explore."""
     share: float = Field(0.5, ge=0.0, le=1.0)
-    """Share of the exploring steps that it takes, until the object was touched."""
+    """Share of the steps that it takes in the episodes in which it explores."""
+    episodes: float = Field(1.0, ge=0.0, le=1.0)
+    """Share of the episodes in which it explores while it rests; else it does in all of them."""
+    again_m: Annotated[float | None, OR_OFF] = Field(None, gt=0.0)
+    """Once the object was pushed by this much, m, approach it anew, to the end of the episode;
+    ``off`` leaves all that follows the first touch to the policy."""
     radius_m: float = Field(0.03, gt=0.0)
-    """The object counts as touched once the effector was within this distance of it, m."""
+    """The second policy's goal is reached within this distance, m."""
+    touched_m: float = Field(0.01, gt=0.0)
+    """The object counts as touched once it was moved by this much, or the effector was within
+    ``radius_m`` of it, m."""
+    around_share: float = Field(0.0, ge=0.0, le=1.0)
+    """Share of the approaches that go to a point around the object first, so that the object is
+    touched from every side."""
+    around_m: float = Field(0.12, gt=0.0)
+    """That point is drawn for each approach up to this far from the object along each axis, and
+    not below it, m."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Widths of the hidden layers of its actor and of its critic, of which it has one."""
     updates_per_step: float = Field(1.0, gt=0.0, le=1000.0)
     """Its gradient updates for each real step."""
     until_touched: float = Field(0.9, gt=0.0, le=1.0)
-    """It rests while the object was touched in this share of the newest 20 episodes."""
+    """It rests, and is not trained, while the object was touched in this share of the newest 20
+    episodes."""
 
 
 class LearnerConfig(Section):

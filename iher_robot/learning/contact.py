@@ -19,6 +19,8 @@ from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
 
+BLOCK = 40
+"""Updates whose batches are drawn together."""
 TOUCH_WINDOW = 20
 """Newest episodes that decide whether the object is touched often enough."""
 
@@ -35,6 +37,26 @@ class ContactModel(Protocol):
 
     def object_position(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Position of the object, m. ``(..., obs_dim) -> (..., 3)``"""
+
+
+def _apart(one: torch.Tensor, other: torch.Tensor) -> float:
+    return float(torch.linalg.vector_norm(one - other, dim=-1).amin())
+
+
+def touched(
+    model: ContactModel, config: ContactConfig, start: torch.Tensor, observation: torch.Tensor
+) -> bool:
+    """Whether the object was touched in some of the observations.
+
+    Args:
+        model: Where effector and object are.
+        config: What a touch is.
+        start: Where the object was before, m. ``(1, 3)``
+        observation: ``(ticks, obs_dim)``
+    """
+    moved = torch.linalg.vector_norm(model.object_position(observation) - start, dim=-1)
+    near = gap(model, observation) < config.radius_m
+    return bool((near | (moved > config.touched_m)).any())
 
 
 def gap(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
@@ -64,6 +86,10 @@ class EffectorGoals:
         """Nothing is imagined with these goals. ``(..., obs_dim)``"""
         return observation
 
+    def tightened(self, share: float, /) -> EffectorGoals:
+        """The same goals within a share of the radius."""
+        return EffectorGoals(self._model, share * self._radius_m)
+
     def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
         """Refuse: every goal of this policy is an object or hindsight."""
         raise NotImplementedError
@@ -76,25 +102,100 @@ class ContactPolicy:
         policy: Its weights.
         model: Where effector and object are.
         config: How much it explores, and what a touch is.
+        rests: Whether it has a part in a share of the episodes only.
     """
 
-    def __init__(self, policy: Policy, model: ContactModel, config: ContactConfig) -> None:
+    def __init__(
+        self, policy: Policy, model: ContactModel, config: ContactConfig, *, rests: bool
+    ) -> None:
         self._policy = policy
+        self._rests = rests
         self._model = model
         self._config = config
 
-    def touches(self, observation: torch.Tensor) -> bool:
-        """Whether the effector is at the object. ``(1, obs_dim)``"""
-        return bool(gap(self._model, observation)[0] < self._config.radius_m)
+    def begin(self, observation: torch.Tensor, generator: torch.Generator) -> Play | None:
+        """Begin an episode; None where this policy has no part in it.
 
-    def takes_over(self, generator: torch.Generator) -> bool:
-        """Draw whether a step before the touch is this policy's."""
-        return bool(torch.rand((), generator=generator) < self._config.share)
+        Args:
+            observation: Where it begins. ``(1, obs_dim)``
+            generator: Draws whether it has.
+        """
+        if self._rests and torch.rand((), generator=generator) >= self._config.episodes:
+            return None
+        return Play(self, self._model, self._config, observation, generator)
 
-    def act(self, observation: torch.Tensor) -> torch.Tensor:
-        """Action towards the object, without noise. ``(1, obs_dim) -> (1, action_dim)``"""
+    def act(self, observation: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+        """Action towards a place, without noise. ``(1, obs_dim), (1, 3) -> (1, action_dim)``"""
         source = torch.full((len(observation),), REAL)
-        return self._policy.act(observation, self._model.object_position(observation), source)
+        return self._policy.act(observation, place, source)
+
+
+class Play:
+    """One episode of going to the object.
+
+    Args:
+        policy: Who goes there.
+        model: Where effector and object are.
+        config: How much of the steps are its, what a touch is, and whether one is enough.
+        start: Observation that the episode begins with. ``(1, obs_dim)``
+        generator: Draws how the object is approached.
+    """
+
+    def __init__(
+        self,
+        policy: ContactPolicy,
+        model: ContactModel,
+        config: ContactConfig,
+        start: torch.Tensor,
+        generator: torch.Generator,
+    ) -> None:
+        self._policy = policy
+        self._model = model
+        self._config = config
+        self._over = False
+        self._approach(model.object_position(start), generator)
+
+    def _approach(self, place: torch.Tensor, generator: torch.Generator) -> None:
+        """Approach the object at that place, m. ``(1, 3)``"""
+        self._before = place
+        self._around: torch.Tensor | None = None
+        if torch.rand((), generator=generator) < self._config.around_share:
+            axes = len(self._model.effector_entries)
+            drawn = 2.0 * torch.rand(axes, generator=generator) - 1.0
+            drawn[2:] = drawn[2:].abs()  # up
+            self._around = self._config.around_m * drawn
+
+    def act(self, observation: torch.Tensor, generator: torch.Generator) -> torch.Tensor | None:
+        """Action of the second policy, if this step is its; None for the policy's own.
+
+        Args:
+            observation: ``(1, obs_dim)``
+            generator: Draws whose step it is, and the next approach.
+
+        Returns:
+            ``(1, action_dim)``
+        """
+        place = self._model.object_position(observation)
+        self._follow(observation, place, generator)
+        if self._over or torch.rand((), generator=generator) >= self._config.share:
+            return None
+        return self._policy.act(
+            observation, place if self._around is None else place + self._around
+        )
+
+    def _follow(
+        self, observation: torch.Tensor, place: torch.Tensor, generator: torch.Generator
+    ) -> None:
+        if self._around is not None:
+            goal = place + self._around
+            if _apart(self._model.effector_position(observation), goal) < self._config.radius_m:
+                self._around = None
+                self._before = place  # it may have been pushed on the way; the touch is to come
+        elif self._config.again_m is not None:
+            if _apart(place, self._before) > self._config.again_m:
+                self._approach(place, generator)
+        elif not self._over:
+            self._over = touched(self._model, self._config, self._before, observation)
 
 
 class ContactLearner:
@@ -124,6 +225,10 @@ class ContactLearner:
             update={
                 "ddpg": config.ddpg.model_copy(
                     update={
+                        "hidden": config.contact.hidden,
+                        "critics": 1,
+                        "target_subset": 1,
+                        "policy_average": None,
                         "source_input": False,
                         "component_critics": False,
                         "target_update": "update",
@@ -159,8 +264,9 @@ class ContactLearner:
 
     def touched(self, episode: Episode) -> bool:
         """Whether the effector came to the object."""
-        distance = gap(self.model, torch.as_tensor(episode.observations))
-        return bool(distance.amin() < self.config.contact.radius_m)
+        observations = torch.as_tensor(episode.observations)
+        start = self.model.object_position(observations[:1])
+        return touched(self.model, self.config.contact, start, observations)
 
     def learn(self, real: EpisodeReplay, updates: int, symmetry: Symmetry | None) -> Meter:
         """Take gradient steps, unless the object is touched often enough already.
@@ -176,13 +282,15 @@ class ContactLearner:
         meter = Meter()
         if self.rests:
             return meter
-        for _ in range(updates):
-            size = self.config.schedule.workers * self.config.ddpg.batch_size
-            batch = real.sample(size, self.generator, self.goals, future_fraction=1.0)
+        size = self.config.schedule.workers * self.config.ddpg.batch_size
+        for done in range(0, updates, BLOCK):
+            batches = min(BLOCK, updates - done)
+            drawn = real.sample(batches * size, self.generator, self.goals, future_fraction=1.0)
             # The curiosity that is stored with the data is not this policy's.
-            batch = dataclasses.replace(batch, intrinsic=torch.zeros_like(batch.intrinsic))
-            report = self.ddpg.update(augment(batch, symmetry, self.generator))
-            meter.add({"contact_critic_loss": report["critic_loss"]})
+            drawn = dataclasses.replace(drawn, intrinsic=torch.zeros_like(drawn.intrinsic))
+            for batch in augment(drawn, symmetry, self.generator).split(batches):
+                report = self.ddpg.update(batch)
+                meter.add({"contact_critic_loss": report["critic_loss"]})
         return meter
 
     def state_dict(self) -> dict[str, Any]:
@@ -205,4 +313,4 @@ class ContactLearner:
     def snapshot(self, device: torch.device) -> ContactPolicy:
         """Copy of the policy, for an actor. It is independent of later updates."""
         policy = Policy.from_snapshot(self.policy.snapshot(), device=device)
-        return ContactPolicy(policy, self.model, self.config.contact)
+        return ContactPolicy(policy, self.model, self.config.contact, rests=self.rests)

@@ -40,6 +40,11 @@ def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:
     return [(-horizon, intrinsic if ddpg.clip_target == "intrinsic" else 0.0)]
 
 
+@torch.no_grad()
+def _blend(into: nn.Module, source: nn.Module, share: float) -> None:
+    torch._foreach_lerp_(list(into.parameters()), list(source.parameters()), share)
+
+
 class DDPG:
     """Actor, critics, their targets and optimisers.
 
@@ -74,6 +79,7 @@ class DDPG:
         self._generator = generator
         self._updates = 0
         self._target_actor = copy.deepcopy(policy.actor)
+        self._mean_actor = copy.deepcopy(policy.actor)
         self._target_critics = copy.deepcopy(self.critics)
         self._actor_optimizer = torch.optim.Adam(
             policy.actor.parameters(), lr=config.ddpg.actor_lr, fused=True
@@ -138,6 +144,8 @@ class DDPG:
         self._updates += 1
         if self.config.ddpg.target_update == "update":
             self.update_targets()
+        if (average := self.config.ddpg.policy_average) is not None:
+            _blend(self._mean_actor, self.policy.actor, average)
         return report
 
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -156,22 +164,24 @@ class DDPG:
         if self.config.ddpg.target_update == "cycle":
             self.update_targets()
 
-    @torch.no_grad()
     def update_targets(self) -> None:
         """Move the target networks towards the online ones by ``tau``."""
-        for target, online in (
-            (self._target_actor, self.policy.actor),
-            (self._target_critics, self.critics),
-        ):
-            torch._foreach_lerp_(
-                list(target.parameters()), list(online.parameters()), self.config.ddpg.tau
-            )
+        _blend(self._target_actor, self.policy.actor, self.config.ddpg.tau)
+        _blend(self._target_critics, self.critics, self.config.ddpg.tau)
+
+    def acting_snapshot(self) -> dict[str, Any]:
+        """Copy of the policy that acts: the actor, or the running mean of its weights."""
+        if self.config.ddpg.policy_average is None:
+            return self.policy.snapshot()
+        weights = {name: t.clone() for name, t in self._mean_actor.state_dict().items()}
+        return self.policy.snapshot() | {"actor": weights}
 
     def _modules(self) -> dict[str, nn.Module]:
         return {
             "critics": self.critics,
             "target_actor": self._target_actor,
             "target_critics": self._target_critics,
+            "mean_actor": self._mean_actor,
         }
 
     def state_dict(self) -> dict[str, Any]:

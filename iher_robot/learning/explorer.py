@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from iher_robot.learning.config import ExplorationConfig
-from iher_robot.learning.contact import ContactPolicy
+from iher_robot.learning.contact import ContactPolicy, Play
 from iher_robot.learning.policy import explore
 
 
@@ -20,11 +20,12 @@ class Explorer:
     def __init__(self, config: ExplorationConfig, contact: ContactPolicy | None = None) -> None:
         self.config = config
         self._contact = contact
-        self._touched = False
+        self._play: Play | None = None
+        self._fresh = True
 
     def begin(self) -> None:
         """Begin an episode."""
-        self._touched = False
+        self._fresh = True
 
     def act(
         self, observation: torch.Tensor, action: torch.Tensor, generator: torch.Generator
@@ -39,8 +40,9 @@ class Explorer:
         Returns:
             Action in [-1, 1]. ``(1, action_dim)``
         """
-        if self._contact is not None and not self._touched:
-            self._touched = self._contact.touches(observation)
-            if not self._touched and self._contact.takes_over(generator):
-                action = self._contact.act(observation)
+        if self._contact is not None:
+            if self._fresh:
+                self._play, self._fresh = self._contact.begin(observation, generator), False
+            towards = None if self._play is None else self._play.act(observation, generator)
+            action = action if towards is None else towards
         return explore(action, self.config, generator)

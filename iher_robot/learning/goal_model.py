@@ -24,6 +24,9 @@ class GoalModel(Protocol):
     def compute_reward(self, achieved: torch.Tensor, desired: torch.Tensor, /) -> torch.Tensor:
         """Sparse reward: 0 where the goal is met, else -1. ``(..., goal_dim) -> (...,)``"""
 
+    def tightened(self, share: float, /) -> GoalModel:
+        """The same goals, met only within that share of the tolerance."""
+
     def complete(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Observation with its derived entries recomputed. ``(..., obs_dim)``"""
 

@@ -60,6 +60,7 @@ class Learner:
     ) -> None:
         self.shapes = shapes
         self.goal_model = goal_model
+        self.learning_goals = goal_model.tightened(config.replay.tolerance)
         self.config = config
         self.device = device
         self.symmetry = symmetry if config.symmetry.enabled else None
@@ -94,7 +95,7 @@ class Learner:
         )
         self.imagined = ImaginarySource(
             shapes,
-            goal_model,
+            self.learning_goals,
             config,
             self.real,
             generator=self.generator,
@@ -109,6 +110,14 @@ class Learner:
         self.updates = 0
         self.real_collected = 0
         self.fresh = 0
+
+    def acting_policy(self, device: torch.device) -> Policy:
+        """Copy of the policy that acts; it does not follow later updates.
+
+        Args:
+            device: Where the actor computes.
+        """
+        return Policy.from_snapshot(self.ddpg.acting_snapshot(), device=device)
 
     def explorer(self, device: torch.device) -> Explorer:
         """What disturbs an actor's actions, as it is now; it does not follow later updates.
@@ -194,8 +203,8 @@ class Learner:
             if imagination:
                 meter.add(self.imagined.imagine_cycle(self.ensemble, self.policy, epoch=self.epoch))
             batches = min(schedule.batches, updates - done)
-            for _ in range(batches):
-                meter.add(self.ddpg.update(self.sample_batch()))
+            for batch in self.sample_batches(batches):
+                meter.add(self.ddpg.update(batch))
                 self.updates += 1
             self.ddpg.end_cycle()
             self.cycle += 1
@@ -232,19 +241,31 @@ class Learner:
             return self.config.imagination.share
         return self.imagined.collected / (self.imagined.collected + self.real_collected)
 
-    def sample_batch(self) -> Transitions:
-        """Draw one batch from both sources, relabelled, with cached intrinsic rewards."""
+    def sample_batches(self, count: int) -> list[Transitions]:
+        """Draw batches from both sources, relabelled, with cached intrinsic rewards.
+
+        They are drawn together, which costs little more than drawing one.
+
+        Args:
+            count: How many.
+
+        Returns:
+            Batches of the same size, each with the same share of imagined transitions.
+        """
         size = self.config.schedule.workers * self.config.ddpg.batch_size
         imagined = round(self.imagined_share * size)
-        parts = [self._sample(self.real, size - imagined)] if imagined < size else []
+        sources = []
+        if imagined < size:
+            sources.append(self._sample(self.real, count * (size - imagined)).split(count))
         if imagined:
-            parts.append(self._augmented(self.imagined.sample(imagined)))
-        return Transitions.concatenate(parts)
+            drawn = self._augmented(self.imagined.sample(count * imagined))
+            sources.append(drawn.split(count))
+        return [Transitions.concatenate(list(parts)) for parts in zip(*sources, strict=True)]
 
     def _sample(self, replay: EpisodeReplay, count: int) -> Transitions:
         fraction = self.config.replay.future_fraction
         return self._augmented(
-            replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+            replay.sample(count, self.generator, self.learning_goals, future_fraction=fraction)
         )
 
     def _augmented(self, batch: Transitions) -> Transitions:

@@ -37,6 +37,12 @@ class Transitions:
         fields = Transitions.__dataclass_fields__
         return Transitions(**{f: torch.cat([getattr(part, f) for part in parts]) for f in fields})
 
+    def split(self, count: int) -> list[Transitions]:
+        """Cut into so many equal batches."""
+        fields = Transitions.__dataclass_fields__
+        chunks = zip(*(getattr(self, f).chunk(count) for f in fields), strict=True)
+        return [Transitions(*chunk) for chunk in chunks]
+
 
 class EpisodeReplay:
     """Whole episodes of one source, first in, first out.

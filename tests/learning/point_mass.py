@@ -27,11 +27,17 @@ class PointMassGoals:
 
     effector_entries = (0, 1)
 
+    def __init__(self, threshold: float = THRESHOLD) -> None:
+        self.threshold = threshold
+
     def achieved_goal(self, observation: Any, /) -> Any:
         return observation[..., :2]
 
     def compute_reward(self, achieved: Any, desired: Any, /) -> Any:
-        return -1.0 * (((achieved - desired) ** 2).sum(-1) ** 0.5 > THRESHOLD)
+        return -1.0 * (((achieved - desired) ** 2).sum(-1) ** 0.5 > self.threshold)
+
+    def tightened(self, share: float, /) -> PointMassGoals:
+        return PointMassGoals(share * self.threshold)
 
     def complete(self, observation: Any, /) -> Any:
         completed = torch.clone(observation)

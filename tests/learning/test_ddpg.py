@@ -285,9 +285,36 @@ def test_targets_move_at_each_update_or_at_the_end_of_a_cycle() -> None:
                 assert not torch.equal(weights(learner, f"target_{name}"), before)
 
 
+def test_a_running_mean_of_the_actors_weights_acts_where_it_is_asked_for() -> None:
+    data, mean = batch(), ddpg(policy_average=0.25)
+    expected = weights(mean, "actor")
+    assert torch.equal(acting(mean), expected)
+    for _ in range(4):
+        mean.update(data)
+        expected = torch.lerp(expected, weights(mean, "actor"), 0.25)
+        torch.testing.assert_close(acting(mean), expected)
+        assert not torch.allclose(acting(mean), weights(mean, "actor"))
+    newest = ddpg()
+    newest.update(data)
+    assert torch.equal(acting(newest), weights(newest, "actor"))
+
+
+def acting(learner: DDPG) -> torch.Tensor:
+    return torch.cat([t.flatten() for t in learner.acting_snapshot()["actor"].values()])
+
+
 @pytest.mark.parametrize(
     "settings",
-    [{}, MANY | {"actor_period": 2, "target_update": "update", "component_critics": True}],
+    [
+        {},
+        MANY
+        | {
+            "actor_period": 2,
+            "target_update": "update",
+            "component_critics": True,
+            "policy_average": 0.1,
+        },
+    ],
     ids=["paper", "ensemble"],
 )
 def test_a_restored_learner_goes_on_as_the_original_does(settings: Settings) -> None:
@@ -305,5 +332,5 @@ def test_a_restored_learner_goes_on_as_the_original_does(settings: Settings) -> 
             learner.update(batch(seed=step))
             learner.update_targets()
     for copy in copies:
-        for name in ("actor", "critics", "target_actor", "target_critics"):
+        for name in ("actor", "critics", "target_actor", "target_critics", "mean_actor"):
             assert torch.equal(weights(copy, name), weights(original, name)), name

@@ -21,13 +21,31 @@ def explorer(share: float, exploration: ExplorationConfig = NO_NOISE) -> Explore
     """The second policy's actions are THEIRS in every entry."""
     policy = linear_policy([float(torch.atanh(torch.tensor(THEIRS)))] * 2)
     config = ContactConfig(enabled=True, share=share, radius_m=0.05)
-    return Explorer(exploration, ContactPolicy(policy, PointMassGoals(), config))
+    return Explorer(exploration, ContactPolicy(policy, PointMassGoals(), config, rests=False))
 
 
-def at(distance_m: float) -> torch.Tensor:
-    """Observation so far beside the mark."""
-    position = MARK + np.array([distance_m, 0.0])
-    return torch.as_tensor(observe(position, position * 0), dtype=torch.float32)[None]
+def roundabout(again_m: float | None = None) -> Explorer:
+    """One whose approaches all go by a point around the object, 1 m away at most along an axis."""
+    config = ContactConfig(
+        enabled=True, share=1.0, radius_m=0.05, around_share=1.0, around_m=1.0, again_m=again_m
+    )
+    return Explorer(
+        NO_NOISE, ContactPolicy(linear_policy(goal_gain=1.0), PointMassGoals(), config, rests=False)
+    )
+
+
+def at(*offset_m: float, mark_m: float = 0.0) -> torch.Tensor:
+    """Observation so far beside the mark, which was moved along x."""
+    away = np.array([*offset_m, 0.0])[:2]
+    position = MARK + np.array([mark_m, 0.0]) + away
+    observation = observe(position, position * 0)
+    observation[4:6] = away
+    return torch.as_tensor(observation, dtype=torch.float32)[None]
+
+
+def place_of(act: torch.Tensor, offset_m: tuple[float, float]) -> np.ndarray:
+    """Where, from the mark, a policy of gain 1 goes that acts so at the offset."""
+    return np.asarray(torch.atanh(act[0]).numpy() + offset_m)
 
 
 def taken_over(explorer: Explorer, steps: int, distance_m: float, seed: int = 0) -> float:
@@ -53,6 +71,94 @@ def test_it_never_acts_from_the_touch_on_until_the_next_episode_begins() -> None
         assert taken_over(exploring, 5, OFF_RADIUS, episode) == 1.0
         assert taken_over(exploring, 1, 0.04, episode) == 0.0
         assert taken_over(exploring, 20, OFF_RADIUS, episode) == 0.0
+
+
+def test_an_object_that_moved_was_touched() -> None:
+    exploring = explorer(1.0)
+    rng, mine = generator(), torch.full((1, 2), MINE)
+    for moved, theirs in ((0.0, True), (0.009, True), (0.011, False), (0.0, False)):
+        act = exploring.act(at(OFF_RADIUS, mark_m=moved), mine, rng)
+        assert torch.equal(act, mine) is not theirs, moved
+
+
+def test_by_a_point_around_the_object_first_and_then_to_it() -> None:
+    mine, drawn = torch.full((1, 2), MINE), []
+    for seed in range(200):
+        exploring, rng = roundabout(), generator(seed)
+        exploring.begin()
+        place = place_of(exploring.act(at(1.2), mine, rng), (1.2, 0.0))
+        drawn.append(place)
+        # What is touched or pushed on the way there does not end it.
+        act = exploring.act(at(0.0, mark_m=0.3), mine, rng)
+        np.testing.assert_allclose(place_of(act, (0.0, 0.0)), place, atol=1e-4)
+        # There, it goes on to the object, until that moves.
+        act = exploring.act(at(*place, mark_m=0.3), mine, rng)
+        if np.linalg.norm(place) > 0.05:
+            np.testing.assert_allclose(place_of(act, tuple(place)), 0.0, atol=1e-4)
+            act = exploring.act(at(0.5, mark_m=0.305), mine, rng)
+            np.testing.assert_allclose(place_of(act, (0.5, 0.0)), 0.0, atol=1e-4)
+        assert torch.equal(exploring.act(at(0.5, mark_m=0.32), mine, rng), mine)
+    assert np.abs(drawn).max(0) == pytest.approx([1.0, 1.0], abs=0.05)
+    assert np.mean(drawn, axis=0) == pytest.approx([0.0, 0.0], abs=0.15)
+
+
+def test_it_approaches_anew_after_each_push_where_it_is_told_to() -> None:
+    exploring, rng, mine = roundabout(again_m=0.1), generator(3), torch.full((1, 2), MINE)
+    exploring.begin()
+    places = []
+    for pushes in range(5):
+        mark_m = 0.11 * pushes
+        place = place_of(exploring.act(at(1.2, mark_m=mark_m), mine, rng), (1.2, 0.0))
+        places.append(tuple(place.round(3)))
+        act = exploring.act(at(*place, mark_m=mark_m), mine, rng)
+        np.testing.assert_allclose(place_of(act, tuple(place)), 0.0, atol=1e-4)
+        act = exploring.act(at(0.2, mark_m=mark_m + 0.09), mine, rng)  # not yet far enough
+        np.testing.assert_allclose(place_of(act, (0.2, 0.0)), 0.0, atol=1e-4)
+    assert len(set(places)) == 5
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_it_has_a_part_in_its_share_of_the_episodes_while_it_rests(rests: bool) -> None:
+    policy = linear_policy([float(torch.atanh(torch.tensor(THEIRS)))] * 2)
+    config = ContactConfig(enabled=True, share=1.0, episodes=0.3, radius_m=0.05)
+    exploring = Explorer(NO_NOISE, ContactPolicy(policy, PointMassGoals(), config, rests=rests))
+    shares = []
+    for seed in range(400):
+        exploring.begin()
+        shares.append(taken_over(exploring, 3, OFF_RADIUS, seed))
+    assert set(shares) == ({0.0, 1.0} if rests else {1.0})
+    assert np.mean(shares) == pytest.approx(0.3 if rests else 1.0, abs=0.08)
+
+
+def test_a_point_around_the_object_is_not_below_it() -> None:
+    class InSpace(PointMassGoals):
+        effector_entries = (0, 1, 2)  # type: ignore[assignment]
+
+    heights, mine = [], torch.zeros(1, 2)
+
+    class Spy(ContactPolicy):
+        def act(self, observation: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+            heights.append(float(place[0, 2]))
+            return mine
+
+    config = ContactConfig(enabled=True, share=1.0, around_share=1.0, around_m=0.1)
+
+    class Flat(InSpace):
+        def object_position(self, observation: torch.Tensor) -> torch.Tensor:
+            return torch.zeros(1, 3)
+
+        def effector_position(self, observation: torch.Tensor) -> torch.Tensor:
+            return torch.ones(1, 3)
+
+    exploring, rng = (
+        Explorer(NO_NOISE, Spy(linear_policy(), Flat(), config, rests=False)),
+        generator(),
+    )
+    for _ in range(200):
+        exploring.begin()
+        exploring.act(at(1.0), mine, rng)
+    assert 0.0 <= min(heights) < 0.01
+    assert 0.09 < max(heights) <= 0.1
 
 
 def test_its_actions_are_disturbed_as_those_of_the_policy() -> None:

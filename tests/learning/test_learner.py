@@ -131,9 +131,9 @@ def test_the_model_free_baseline_imagines_nothing_and_hears_no_source() -> None:
     assert learner.imagined.replay.num_episodes == 0
     assert (metrics["imagined_transitions"], metrics["imagined_share"]) == (0, 0)
     assert "dynamics_loss" not in metrics
-    assert (learner.sample_batch().source == REAL).all()
-    assert len(learner.sample_batch().source) == 50
-    assert (learner.sample_batch().intrinsic == 0).all()
+    assert (learner.sample_batches(1)[0].source == REAL).all()
+    assert len(learner.sample_batches(1)[0].source) == 50
+    assert (learner.sample_batches(1)[0].intrinsic == 0).all()
     assert learner.policy.input_dim == SHAPES.obs_dim + SHAPES.goal_dim
     for name, tensor in learner.ensemble.state_dict()["members"].items():
         assert torch.equal(tensor, untrained[name])
@@ -205,6 +205,27 @@ def test_the_updates_of_an_epoch_follow_from_its_fresh_valid_steps() -> None:
             total += updates
             for name in ("actor_optimizer", "critic_optimizer"):
                 assert steps(learner.ddpg.state_dict()[name]) == {total}
+
+
+def test_what_is_learned_from_is_met_within_the_tolerance_that_is_asked_for() -> None:
+    strict = new(quick(replay={"tolerance": 0.4}))
+    strict.add_real(real(1, 40))
+    batch = strict.sample_batches(20)
+    goals = PointMassGoals()
+    met = {
+        share: torch.cat(
+            [
+                goals.tightened(share).compute_reward(
+                    goals.achieved_goal(b.next_observation), b.goal
+                )
+                for b in batch
+            ]
+        )
+        for share in (0.4, 1.0)
+    }
+    extrinsic = torch.cat([b.extrinsic for b in batch])
+    assert torch.equal(extrinsic, met[0.4])
+    assert (met[0.4] < met[1.0]).any()
 
 
 def test_even_the_fewest_steps_bring_one_update() -> None:

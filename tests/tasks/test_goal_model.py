@@ -47,6 +47,15 @@ def test_batches_equal_loops(model: GoalModel) -> None:
             assert reward[i, j] == model.compute_reward(achieved[i, j], desired[i, j])
 
 
+def test_tightened_goals_are_met_within_a_share_of_the_threshold(model: GoalModel) -> None:
+    desired = np.zeros((3, model.goal_dim))
+    achieved = desired.copy()
+    achieved[:, 0] = model.threshold * np.array([0.39, 0.41, 0.99])
+    strict = model.tightened(0.4)
+    assert strict.compute_reward(achieved, desired).tolist() == [0.0, -1.0, -1.0]
+    assert model.compute_reward(achieved, desired).tolist() == [0.0, 0.0, 0.0]
+
+
 def test_tensors_equal_arrays(model: GoalModel) -> None:
     obs = observations(model, 64)
     tensor = torch.from_numpy(obs)

@@ -30,7 +30,7 @@ def task(name: str, **frame: Any) -> GoalTask:
 
 
 def declared(name: str) -> PlaneSymmetry:
-    symmetry = task(name).symmetry
+    symmetry = task(name).symmetry(rough=True)
     assert symmetry is not None
     return symmetry
 
@@ -125,7 +125,9 @@ def test_images_of_what_is_inside_stay_inside(name: str, seed: int) -> None:
 @given(NAMES, SEEDS)
 def test_a_mirror_image_of_a_mirror_image_is_the_original(name: str, seed: int) -> None:
     start, action, end, uniform = steps(name, seed)
-    uniform[:, 2:] = 0.5  # no shift
+    uniform[:, 2:4] = 0.5  # no shift
+    # The diagonal and another plane make a quarter turn, which is no mirror image.
+    uniform[::2, :2], uniform[1::2, 4] = 0.9, 0.9
     symmetry = declared(name)
     maps = symmetry.choose(uniform, start, end)
     again = symmetry.choose(uniform, maps.observation(start), maps.observation(end))
@@ -179,10 +181,12 @@ def test_motions_are_mapped_as_the_places_between_which_they_lead(name: str, see
     np.testing.assert_array_equal(image[:, gripper][:, 2], end[:, gripper][:, 2])
 
 
-def mirrors(*signs: float) -> tuple[np.ndarray, PlaneMap[Any]]:
-    """A reflection of space, and the map that claims to be it, one row."""
+def mirrors(*signs: float, diagonal: bool = False) -> tuple[np.ndarray, PlaneMap[Any]]:
+    """A reflection or turn of space, and the map that claims to be it, one row."""
     sign = np.array(signs)
-    return np.diag(sign), PlaneMap(declared("push"), sign[None], np.zeros((1, 3)))
+    space = np.diag(sign)[:, [1, 0, 2]] if diagonal else np.diag(sign)
+    exchanged = np.full((1, 1), float(diagonal))
+    return space, PlaneMap(declared("push"), exchanged, sign[None], np.zeros((1, 3)))
 
 
 SIGNS = st.sampled_from([(-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, -1.0, 1.0)])
@@ -215,6 +219,39 @@ def test_angles_and_angular_velocities_are_those_of_the_mirrored_body(
     # It moves at w x p, and its mirror image at S (w x p).
     expected = space @ cross(turning) @ space
     np.testing.assert_allclose(cross(image[where["object_angvel"]]), expected, atol=1e-12)
+
+
+@given(st.sampled_from([(1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)]), SEEDS)
+def test_so_are_those_of_a_body_that_lies_flat_and_is_mirrored_in_the_diagonal(
+    signs: tuple[float, float, float], seed: int
+) -> None:
+    space, maps = mirrors(*signs, diagonal=True)
+    rng, where = np.random.default_rng(seed), OBJECT_LAYOUT.slices
+    angles, turning = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng.normal(size=3)
+    observation = np.zeros((1, 25))
+    observation[0, where["object_euler"]] = angles
+    observation[0, where["object_angvel"]] = turning
+    observation[0, where["object_rel_vel"]] = rng.normal(size=3)
+    image = maps.observation(observation)[0]
+    found = rotations.euler2mat(image[where["object_euler"]])
+    expected = space @ rotations.euler2mat(angles) @ np.linalg.inv(space)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    spun = space @ cross(turning) @ np.linalg.inv(space)
+    np.testing.assert_allclose(cross(image[where["object_angvel"]]), spun, atol=1e-12)
+    moved = space @ observation[0, where["object_rel_vel"]]
+    np.testing.assert_array_equal(image[where["object_rel_vel"]], moved)
+
+
+def test_rough_maps_are_left_out_unless_they_are_asked_for() -> None:
+    start = np.zeros((1000, 25))
+    start[:, 0:2] = start[:, 3:5] = task("push").home[:2]
+    uniform = np.random.default_rng(0).uniform(size=(1000, PlaneSymmetry.draws))
+    shares = []
+    for rough in (False, True):
+        symmetry = task("push").symmetry(rough=rough)
+        assert symmetry is not None
+        shares.append(float(symmetry.choose(uniform, start, start).diagonal.mean()))
+    assert shares == [0.0, pytest.approx(0.5, abs=0.05)]
 
 
 def test_only_a_mirror_image_across_the_fingers_exchanges_them() -> None:
@@ -258,12 +295,12 @@ def test_all_maps_are_drawn_and_slide_is_never_mirrored_ahead(name: str) -> None
 
 def test_the_area_lies_around_home() -> None:
     far = task("push", home=(2.0, -1.0, 0.5), even_area=((-0.1, -0.2), (0.3, 0.2)))
-    symmetry = far.symmetry
+    symmetry = far.symmetry()
     assert symmetry is not None
     places = np.array([(1.91, -1.19), (2.29, -0.81), (1.89, -1.0), (2.31, -1.0), (2.0, -0.79)])
     start = np.zeros((5, 25))
     start[:, 0:2] = start[:, 3:5] = places
-    maps = symmetry.choose(np.full((5, 4), 0.1), start, start)
+    maps = symmetry.choose(np.full((5, 5), 0.1), start, start)
     changed = (maps.observation(start) != start).any(axis=-1)
     assert changed.tolist() == [True, True, False, False, False]
 
@@ -280,7 +317,7 @@ def test_a_task_that_declares_no_kinds_has_no_symmetry() -> None:
     class Bare(Push):
         kinds: ClassVar[dict[str, Kind]] = {}
 
-    assert Bare().bind(fake_spec()).symmetry is None
+    assert Bare().bind(fake_spec()).symmetry() is None
 
 
 @pytest.mark.parametrize(
