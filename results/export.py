@@ -1,41 +1,70 @@
-"""Keep the small part of a run that is worth committing: its curve, its plot and where it is from.
+"""Keep the small part of runs that is worth committing: curves, a plot, where they are from.
 
-python results/export.py runs/RUN NAME     makes results/NAME/curve.json and success.png
+python results/export.py runs/RUN... --name NAME [--official 100]
+
+makes results/NAME/seedN.json for each run, and success.png of all of them. With --official, the
+final policies run that many episodes in gymnasium-robotics' own environment first.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from pathlib import Path
+from typing import Any
 
+import torch
 import yaml
 
+from iher_robot.evaluate import evaluate
 from iher_robot.plot import plot_success
 from iher_robot.run_directory import RunDirectory
 
 
-def main() -> None:
-    """Export one run."""
-    run = RunDirectory.open(Path(sys.argv[1]))
-    target = Path(__file__).parent / sys.argv[2]
-    target.mkdir(exist_ok=True)
+def read_run(path: Path) -> dict[str, Any]:
+    """Everything of a run that is kept."""
+    run = RunDirectory.open(path)
     rows = run.read_metrics()
-    config = yaml.safe_load(run.config_path.read_text())
     provenance = json.loads(run.provenance_path.read_text())
-    command = " ".join(["iher-robot", *provenance["command"][1:]])
-    document = provenance | {
-        "command": command,
+    return provenance | {
+        "command": " ".join(["iher-robot", *provenance["command"][1:]]),
         "wall_seconds": rows[-1]["wall_seconds"],
-        "config": config,
+        "config": yaml.safe_load(run.config_path.read_text()),
         "epochs": rows,
     }
-    (target / "curve.json").write_text(json.dumps(document, indent=1) + "\n")
+
+
+def main() -> None:
+    """Export runs that differ by their seeds."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", nargs="+", type=Path)
+    parser.add_argument("--name", required=True)
+    parser.add_argument("--official", type=int, default=0, metavar="EPISODES")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    target = Path(__file__).parent / options.name
+    target.mkdir(parents=True, exist_ok=True)
+    curves, config = {}, {}
+    for path in options.runs:
+        document = read_run(path)
+        config = document["config"]
+        if options.official:
+            policy = RunDirectory.open(path).policy_path
+            result = evaluate(policy, episodes=options.official, official=True)
+            document["official"] = {
+                "environment": result.environment,
+                "episodes": result.episodes,
+                "successes": result.successes,
+            }
+            print(result.summary())
+        name = f"seed{config['seed']}"
+        (target / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
+        curves[f"seed {config['seed']}"] = document["epochs"]
     plot_success(
-        {f"{config['algo']}, preset {config['preset']}": rows},
+        curves,
         target / "success.png",
-        title=f"{config['task']} on {config['driver']}",
-        subtitle=f"seed {config['seed']}, commit {provenance['commit'][:10]}",
+        title=f"{config['task']} on {config['robot'] or config['driver']}",
+        subtitle=f"{config['algo']}, preset {config['preset']}, {options.name}",
         budget_minutes=config["budget_minutes"],
     )
 

@@ -173,6 +173,9 @@ class ImaginationConfig(Section):
     share: Annotated[float | None, OR_OFF] = Field(None, ge=0.0, le=1.0)
     """Imagined share of each batch; ``off`` takes the paper's p(imag), the share of newly imagined
     transitions in all transitions collected so far."""
+    keep: float = Field(1.0, gt=0.0, le=1.0)
+    """Share of the rollouts imagined together that is kept: those on which the models agree
+    best."""
     state_margin: float = Field(0.1, ge=0.0)
     """Imagined observations are bounded to the real data's range, widened by this share."""
 

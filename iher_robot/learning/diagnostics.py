@@ -14,6 +14,8 @@ from iher_robot.learning.imagination import imagine
 from iher_robot.learning.learner import Learner
 
 HORIZONS = (1, 10, 50)
+CONTACT_M = 0.002
+"""Motion of the achieved goal in a tick, m, from which something pushes it."""
 
 
 def _no_spread(predictions: torch.Tensor) -> torch.Tensor:
@@ -28,6 +30,7 @@ def open_loop_error(
     *,
     state_margin: float,
     generator: torch.Generator,
+    least_motion: float = 0.0,
 ) -> tuple[float, float]:
     """Distance of the predicted from the real achieved goal after some ticks of known actions.
 
@@ -41,11 +44,12 @@ def open_loop_error(
         horizon: Ticks to predict.
         state_margin: As in ``imagine``.
         generator: Draws the members.
+        least_motion: Only windows count in which the achieved goal ends this far from where it
+            began, in the goal's unit.
 
     Returns:
         Mean distance of the model's prediction, and of predicting no change, in the goal's
-        unit. The first is nan where a prediction is not finite, both where no episode is that
-        long.
+        unit. The first is nan where a prediction is not finite, both where no window counts.
     """
     device = ensemble.obs_low.device
     windows = [
@@ -66,6 +70,11 @@ def open_loop_error(
         return torch.as_tensor(array, dtype=torch.float32, device=device)
 
     start, actions, real = stack(0), stack(1), goal_model.achieved_goal(stack(2))
+    motion = torch.linalg.vector_norm(goal_model.achieved_goal(start) - real, dim=-1)
+    counts = motion >= least_motion
+    if not counts.any():
+        return float("nan"), float("nan")
+    start, actions, real, motion = start[counts], actions[counts], real[counts], motion[counts]
     replayed = iter(actions.unbind(dim=1))
     rollouts = imagine(
         ensemble,
@@ -80,8 +89,7 @@ def open_loop_error(
     )
     predicted = goal_model.achieved_goal(rollouts.observations[:, -1])
     model = torch.linalg.vector_norm(predicted - rollouts.goals, dim=-1).mean()
-    still = torch.linalg.vector_norm(goal_model.achieved_goal(start) - real, dim=-1).mean()
-    return float("nan") if rollouts.dropped else float(model), float(still)
+    return float("nan") if rollouts.dropped else float(model), float(motion.mean())
 
 
 def imagined_success(
@@ -129,14 +137,16 @@ def diagnose(learner: Learner, episodes: Sequence[Episode]) -> dict[str, float]:
         episodes: Evaluation episodes, which nothing was trained on.
 
     Returns:
-        ``model_error_H`` and ``still_error_H`` for each horizon H, and ``imagined_success``;
-        nothing where imagination is off.
+        ``model_error_H`` and ``still_error_H`` for each horizon H, and with ``contact`` for H in
+        the ticks in which the achieved goal moves; and ``imagined_success``. Nothing where
+        imagination is off.
     """
     if not learner.config.imagination.enabled or not episodes:
         return {}
     generator = torch.Generator(learner.device).manual_seed(learner.epoch)
     report: dict[str, float] = {}
-    for horizon in HORIZONS:
+    cases = [(str(horizon), horizon, 0.0) for horizon in HORIZONS] + [("contact", 1, CONTACT_M)]
+    for name, horizon, least_motion in cases:
         model, still = open_loop_error(
             learner.ensemble,
             learner.goal_model,
@@ -144,8 +154,9 @@ def diagnose(learner: Learner, episodes: Sequence[Episode]) -> dict[str, float]:
             horizon,
             state_margin=learner.config.imagination.state_margin,
             generator=generator,
+            least_motion=least_motion,
         )
-        report[f"model_error_{horizon}"] = model
-        report[f"still_error_{horizon}"] = still
+        report[f"model_error_{name}"] = model
+        report[f"still_error_{name}"] = still
     report["imagined_success"] = imagined_success(learner, episodes, generator=generator)
     return report

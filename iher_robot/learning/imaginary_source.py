@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -178,7 +179,7 @@ class ImaginarySource:
             epoch: The current epoch.
 
         Returns:
-            What they show; ``kept`` is the number that were finite.
+            What they show; ``kept`` is the number that were added.
         """
         start, goals = self._starts(count)
         flip = torch.rand(count, generator=self.generator, device=self.device)
@@ -196,31 +197,35 @@ class ImaginarySource:
             act=act,
             ticks=self.shapes.episode_ticks,
             state_margin=self.config.imagination.state_margin,
-            spread=self._intrinsic,
+            spread=self._disagreement,
             generator=self.generator,
         )
-        kept = len(rollouts.actions)
-        if kept:
+        finite = len(rollouts.actions)
+        agreed = rollouts.spreads.mean(dim=1).argsort()
+        agreed = agreed[: math.ceil(self.config.imagination.keep * finite)].sort().values
+        reward = torch.zeros_like(rollouts.spreads)
+        if self.config.intrinsic.enabled:
+            reward = intrinsic_reward(rollouts.spreads, self.config.intrinsic)
+        if finite:
             self.replay.add(
-                rollouts.observations,
-                rollouts.actions,
-                rollouts.goals,
+                rollouts.observations[agreed],
+                rollouts.actions[agreed],
+                rollouts.goals[agreed],
                 epoch=epoch,
-                intrinsic=rollouts.spreads,
+                intrinsic=reward[agreed],
             )
-        clipped = rollouts.spreads >= self.config.intrinsic.clip
+        clipped = reward >= self.config.intrinsic.clip
         return {
-            "kept": kept,
+            "kept": len(agreed),
             "imagined_dropped": rollouts.dropped / count,
-            "intrinsic_imagined": float(rollouts.spreads.mean()) if kept else 0.0,
-            "intrinsic_clipped": float(clipped.float().mean()) if kept else 0.0,
+            "intrinsic_imagined": float(reward.mean()) if finite else 0.0,
+            "intrinsic_clipped": float(clipped.float().mean()) if finite else 0.0,
         }
 
-    def _intrinsic(self, predictions: torch.Tensor) -> torch.Tensor:
-        if not self.config.intrinsic.enabled:
+    def _disagreement(self, predictions: torch.Tensor) -> torch.Tensor:
+        if not self.config.intrinsic.enabled and self.config.imagination.keep == 1.0:
             return predictions.new_zeros(predictions.shape[1])
-        sigma = disagreement(predictions, self.config.intrinsic)
-        return intrinsic_reward(sigma, self.config.intrinsic)
+        return disagreement(predictions, self.config.intrinsic)
 
     def _starts(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Observations to begin at, and goals. ``(count, obs_dim)``, ``(count, goal_dim)``"""

@@ -75,6 +75,35 @@ def test_a_window_never_spans_an_invalid_tick() -> None:
     assert still < 1
 
 
+def test_windows_may_be_those_that_move_the_achieved_goal() -> None:
+    real = episodes()
+    for episode in real:
+        episode.observations[6:, :2] = episode.observations[5, :2]  # nothing moves after tick 5
+    distances = [
+        float(np.linalg.norm(e.observations[t + 1, :2] - e.observations[t, :2]))
+        for e in real
+        for t in range(len(e))
+    ]
+    moving = [distance for distance in distances if distance >= 0.01]
+    assert 0 < len(moving) < 0.5 * len(distances)
+    ensemble = drifting_ensemble(0.0)
+    for least, expected in ((0.0, distances), (0.01, moving)):
+        _, still = open_loop_error(
+            ensemble,
+            GOALS,
+            real,
+            1,
+            state_margin=0.1,
+            generator=generator(),
+            least_motion=least,
+        )
+        assert still == pytest.approx(np.mean(expected), rel=1e-4)
+    none = open_loop_error(
+        ensemble, GOALS, real, 1, state_margin=0.1, generator=generator(), least_motion=1.0
+    )
+    assert all(map(math.isnan, none))
+
+
 def test_without_an_episode_that_long_there_is_no_number() -> None:
     assert all(map(math.isnan, error(perfect_ensemble(), episodes(), SHAPES.episode_ticks + 1)))
 
@@ -121,7 +150,7 @@ def test_a_diagnosis_names_every_horizon_and_draws_nothing_from_the_learner() ->
     report = diagnose(dreamer, real)
     assert torch.equal(dreamer.generator.get_state(), before)
     assert set(report) == {"imagined_success"} | {
-        f"{kind}_error_{horizon}" for kind in ("model", "still") for horizon in HORIZONS
+        f"{kind}_error_{case}" for kind in ("model", "still") for case in (*HORIZONS, "contact")
     }
     assert HORIZONS == (1, 10, 50)
     for horizon in (1, 10):

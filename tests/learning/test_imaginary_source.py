@@ -20,6 +20,7 @@ from tests.learning.stand_ins import (
     OBS,
     drifting_ensemble,
     generator,
+    linear_ensemble,
     linear_policy,
     marked_episode,
     quiet_config,
@@ -313,3 +314,24 @@ def test_new_models_leave_no_branch_of_the_old_ones() -> None:
     imagined.imagine_cycle(drifting_ensemble(-1.0), linear_policy(), epoch=2)
     batch = imagined.sample(500)
     assert (batch.next_observation[:, 2] < batch.observation[:, 2]).all()
+
+
+def test_the_rollouts_on_which_the_models_agree_best_are_kept() -> None:
+    # Two members drift apart by what the action says: the larger it is, the less they agree.
+    weight = torch.zeros(OBS, OBS + SHAPES.action_dim)
+    ensemble = linear_ensemble([[0.0] * OBS] * 2, weight)
+    state = ensemble.state_dict()
+    state["members"]["1.0.weight"][2, OBS] = 1.0
+    ensemble.load_state_dict(state)
+    config = quiet_config(
+        schedule=SCHEDULE,
+        exploration={"random_fraction": 1.0},
+        imagination={"keep": 0.25, "branch_ticks": 1},
+    )
+    imagined = source(config)
+    report = imagined.add_rollouts(ensemble, linear_policy(), 200, epoch=1)
+    assert report["kept"] == 50
+    _, action, _ = stored(imagined.replay)
+    assert len(action) == 50
+    assert float(action[:, 0].abs().max()) == pytest.approx(0.25, abs=0.1)
+    assert float(action[:, 1].abs().max()) > 0.9

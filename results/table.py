@@ -1,0 +1,54 @@
+"""Print results as rows of a Markdown table: robot minutes to 50 % and 90 %, the end, wall clock.
+
+python results/table.py results/NAME...
+
+Minutes are those of the first evaluation that reached the rate, for each seed; the median counts
+a seed that never did as later than all others.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import sys
+from pathlib import Path
+from typing import Any
+
+from iher_robot.plot import success_points
+
+
+def minutes_to(rate: float, run: dict[str, Any]) -> float:
+    """Robot minutes of the first evaluation with that success rate; infinite if there is none."""
+    points = success_points(run["epochs"])
+    return next((minutes for minutes, success in points if success >= rate), math.inf)
+
+
+def cell(values: list[float]) -> str:
+    """Median, and each seed's."""
+    shown = ["never" if math.isinf(value) else f"{value:.1f}" for value in values]
+    median = statistics.median_low(values)
+    middle = "never" if math.isinf(median) else f"{median:.1f}"
+    return f"**{middle}** ({', '.join(shown)})"
+
+
+def main() -> None:
+    """Print a row for each folder of results."""
+    print("| results | seeds | min to 50 % | min to 90 % | at the end, % | robot min | wall, min |")
+    print("|---|---|---|---|---|---|---|")
+    for argument in sys.argv[1:]:
+        folder = Path(argument)
+        runs = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+        ends = [success_points(run["epochs"])[-1] for run in runs]
+        wall = statistics.median(run["wall_seconds"] for run in runs) / 60.0
+        print(
+            f"| [{folder.name}]({folder.name}) | {len(runs)} "
+            f"| {cell([minutes_to(0.5, run) for run in runs])} "
+            f"| {cell([minutes_to(0.9, run) for run in runs])} "
+            f"| {', '.join(f'{rate:.0%}'.rstrip('%') for _, rate in ends)} "
+            f"| {statistics.median(minutes for minutes, _ in ends):.1f} | {wall:.0f} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
