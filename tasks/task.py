@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import ResetRequest, RobotSpec, RobotState
+from drivers import EndEffectorCommand, ResetRequest, RobotSpec, RobotState
 from tasks.errors import UnboundTask
 from tasks.frame import TaskFrame, Vector3
 from tasks.goal_model import GoalModel
@@ -33,7 +33,9 @@ class GoalTask(ABC):
         default_frame: Fetch's constants.
         kinds: What each entry of its observations is, for `symmetry`; empty without one.
         mirrors: Normals of the upright planes whose mirror images leave the task as it is.
-        rough_mirrors: Those whose mirror images do so only roughly; ``xy`` for the diagonal.
+        rough_mirrors: Those whose mirror images do so only roughly, and only for a robot that
+            takes commands of its end effector, which moves alike in x and y; ``xy`` for the
+            diagonal.
     """
 
     name: ClassVar[str]
@@ -102,7 +104,8 @@ class GoalTask(ABC):
         """Return the maps that leave dynamics and reward as they are.
 
         Args:
-            rough: Whether those are among them that do so only roughly.
+            rough: Whether those are among them that do so only roughly, if the robot is one for
+                them.
 
         Returns:
             The maps; None where no kinds are declared.
@@ -115,7 +118,9 @@ class GoalTask(ABC):
         (x_low, y_low), (x_high, y_high) = self.frame.even_area
         x, y, _ = self.home
         area = ((x + x_low, y + y_low), (x + x_high, y + y_high))
-        mirrors = self.mirrors + self.rough_mirrors * rough
+        mirrors = self.mirrors
+        if rough and EndEffectorCommand.kind in self.spec.command_kinds:
+            mirrors += self.rough_mirrors
         return PlaneSymmetry(self.layout, self.kinds, area=area, mirrors=mirrors)
 
     @property

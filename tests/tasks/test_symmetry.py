@@ -242,16 +242,22 @@ def test_so_are_those_of_a_body_that_lies_flat_and_is_mirrored_in_the_diagonal(
     np.testing.assert_array_equal(image[where["object_rel_vel"]], moved)
 
 
-def test_rough_maps_are_left_out_unless_they_are_asked_for() -> None:
+@pytest.mark.parametrize(
+    ("rough", "kind", "expected"),
+    [(False, "ee_delta", 0.0), (True, "ee_delta", 0.5), (True, "joint", 0.0)],
+)
+def test_rough_maps_are_for_who_asks_for_them_and_a_robot_that_moves_alike_in_x_and_y(
+    rough: bool, kind: str, expected: float
+) -> None:
+    robot = dataclasses.replace(fake_spec(), command_kinds=(kind,))
+    bound = make_task("push").bind(robot)
     start = np.zeros((1000, 25))
-    start[:, 0:2] = start[:, 3:5] = task("push").home[:2]
+    start[:, 0:2] = start[:, 3:5] = bound.home[:2]
     uniform = np.random.default_rng(0).uniform(size=(1000, PlaneSymmetry.draws))
-    shares = []
-    for rough in (False, True):
-        symmetry = task("push").symmetry(rough=rough)
-        assert symmetry is not None
-        shares.append(float(symmetry.choose(uniform, start, start).diagonal.mean()))
-    assert shares == [0.0, pytest.approx(0.5, abs=0.05)]
+    symmetry = bound.symmetry(rough=rough)
+    assert symmetry is not None
+    share = float(symmetry.choose(uniform, start, start).diagonal.mean())
+    assert share == pytest.approx(expected, abs=0.05)
 
 
 def test_only_a_mirror_image_across_the_fingers_exchanges_them() -> None:
