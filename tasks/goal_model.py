@@ -20,16 +20,24 @@ class GoalModel(ABC):
     The learner calls them on observations that no robot ever made.
     """
 
-    def __init__(self, layout: ObservationLayout, achieved: str, threshold: float) -> None:
+    def __init__(
+        self,
+        layout: ObservationLayout,
+        achieved: str,
+        threshold: float,
+        hand_actions: tuple[int, ...] = (),
+    ) -> None:
         """Choose what counts.
 
         Args:
             layout: Layout of the observations.
             achieved: Entry that is compared with the goal.
             threshold: Distance within which a goal is reached, m.
+            hand_actions: Entries of the action that open and close a hand.
         """
         self.layout = layout
         self.threshold = threshold
+        self.hand_actions = hand_actions
         self._achieved_entry = achieved
         self._achieved = layout.slices[achieved]
 

@@ -18,6 +18,8 @@ from tasks.symmetry import Kind
 from tasks.task import GoalTask
 
 OBJECT = "object0"
+GRIPPER_ACTIONS = (3,)
+"""Entries of the action that open and close the gripper."""
 
 OBJECT_LAYOUT = ObservationLayout(
     sizes=(
@@ -58,6 +60,7 @@ class TabletopGoals(GoalModel):
         frame: TaskFrame,
         home: Callable[[], Vector3],
         object_height: Callable[[], float | None],
+        hand_actions: tuple[int, ...],
     ) -> None:
         """Set the goals up.
 
@@ -67,9 +70,10 @@ class TabletopGoals(GoalModel):
             home: Returns the centre of the goal region, m, once it is known.
             object_height: Returns the height of the resting object, m, None where only
                 the start shows it.
+            hand_actions: Entries of the action that open and close the gripper.
         """
         assert layout.object_entry is not None
-        super().__init__(layout, layout.object_entry, frame.threshold)
+        super().__init__(layout, layout.object_entry, frame.threshold, hand_actions)
         self._frame = frame
         self._home = home
         self._object_height = object_height
@@ -157,4 +161,10 @@ class TabletopTask(GoalTask):
         return ResetRequest({OBJECT: (float(place[0]), float(place[1]))})
 
     def _make_goal_model(self) -> GoalModel:
-        return TabletopGoals(self.layout, self.frame, lambda: self.home, lambda: self.object_height)
+        return TabletopGoals(
+            self.layout,
+            self.frame,
+            lambda: self.home,
+            lambda: self.object_height,
+            () if self.blocks_gripper else GRIPPER_ACTIONS,
+        )

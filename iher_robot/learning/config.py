@@ -224,8 +224,10 @@ class ContactConfig(Section):
     episodes: float = Field(1.0, ge=0.0, le=1.0)
     """Share of the episodes in which it explores while it rests; else it does in all of them."""
     again_m: Annotated[float | None, OR_OFF] = Field(None, gt=0.0)
-    """Once the object was pushed by this much, m, approach it anew, to the end of the episode;
-    ``off`` leaves all that follows the first touch to the policy."""
+    """Once the object was reached, or pushed by this much, m, approach it anew, to the end of the
+    episode; ``off`` leaves all that follows the first touch to the policy."""
+    hand_ticks: int = Field(5, ge=0)
+    """Ticks in which it waits for the hand, which is told to open or to close for each approach."""
     radius_m: float = Field(0.03, gt=0.0)
     """The second policy's goal is reached within this distance, m."""
     touched_m: float = Field(0.01, gt=0.0)

@@ -21,6 +21,8 @@ from iher_robot.learning.symmetry import Symmetry, augment
 
 BLOCK = 40
 """Updates whose batches are drawn together."""
+LEG_TICKS = 15
+"""Ticks after which a point around the object that was not reached is given up."""
 TOUCH_WINDOW = 20
 """Newest episodes that decide whether the object is touched often enough."""
 
@@ -31,6 +33,10 @@ class ContactModel(Protocol):
     @property
     def effector_entries(self) -> tuple[int, ...]:
         """Entries of the observation with the position of the end effector."""
+
+    @property
+    def hand_actions(self) -> tuple[int, ...]:
+        """Entries of the action that open and close a hand; empty without one."""
 
     def effector_position(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Position of the end effector, m. ``(..., obs_dim) -> (..., 3)``"""
@@ -44,19 +50,23 @@ def _apart(one: torch.Tensor, other: torch.Tensor) -> float:
 
 
 def touched(
-    model: ContactModel, config: ContactConfig, start: torch.Tensor, observation: torch.Tensor
+    model: ContactModel,
+    start: torch.Tensor,
+    observation: torch.Tensor,
+    radius_m: float,
+    moved_m: float,
 ) -> bool:
     """Whether the object was touched in some of the observations.
 
     Args:
         model: Where effector and object are.
-        config: What a touch is.
         start: Where the object was before, m. ``(1, 3)``
         observation: ``(ticks, obs_dim)``
+        radius_m: It was if the effector came so near, m,
+        moved_m: or if it moved by this much, m.
     """
     moved = torch.linalg.vector_norm(model.object_position(observation) - start, dim=-1)
-    near = gap(model, observation) < config.radius_m
-    return bool((near | (moved > config.touched_m)).any())
+    return bool(((gap(model, observation) < radius_m) | (moved > moved_m)).any())
 
 
 def gap(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
@@ -131,14 +141,16 @@ class ContactPolicy:
 
 
 class Play:
-    """One episode of going to the object.
+    """One episode of going to the object, leg by leg: to a point around it, or to itself.
+
+    In a leg the hand, if there is one, is told the same all the way: to open or to close.
 
     Args:
         policy: Who goes there.
         model: Where effector and object are.
         config: How much of the steps are its, what a touch is, and whether one is enough.
         start: Observation that the episode begins with. ``(1, obs_dim)``
-        generator: Draws how the object is approached.
+        generator: Draws the legs.
     """
 
     def __init__(
@@ -153,49 +165,70 @@ class Play:
         self._model = model
         self._config = config
         self._over = False
-        self._approach(model.object_position(start), generator)
-
-    def _approach(self, place: torch.Tensor, generator: torch.Generator) -> None:
-        """Approach the object at that place, m. ``(1, 3)``"""
-        self._before = place
         self._around: torch.Tensor | None = None
-        if torch.rand((), generator=generator) < self._config.around_share:
-            axes = len(self._model.effector_entries)
-            drawn = 2.0 * torch.rand(axes, generator=generator) - 1.0
+        self._waits = 0
+        self._begin_leg(start, generator, around=self._draws_around(generator))
+        self._waits = 0
+
+    def _draws_around(self, generator: torch.Generator) -> bool:
+        return bool(torch.rand((), generator=generator) < self._config.around_share)
+
+    def _begin_leg(
+        self, observation: torch.Tensor, generator: torch.Generator, *, around: bool
+    ) -> None:
+        self._before = self._model.object_position(observation)
+        self._here = self._model.effector_position(observation)
+        self._ticks = 0
+        self._around = None
+        if around:
+            drawn = 2.0 * torch.rand(self._before.shape[-1], generator=generator) - 1.0
             drawn[2:] = drawn[2:].abs()  # up
-            self._around = self._config.around_m * drawn
+            self._around = self._before + self._config.around_m * drawn
+        if hand := self._model.hand_actions:
+            self._hand = torch.randint(2, (len(hand),), generator=generator) * 2.0 - 1.0
+            self._waits = self._config.hand_ticks
 
     def act(self, observation: torch.Tensor, generator: torch.Generator) -> torch.Tensor | None:
         """Action of the second policy, if this step is its; None for the policy's own.
 
         Args:
             observation: ``(1, obs_dim)``
-            generator: Draws whose step it is, and the next approach.
+            generator: Draws whose step it is, and the next leg.
 
         Returns:
             ``(1, action_dim)``
         """
-        place = self._model.object_position(observation)
-        self._follow(observation, place, generator)
+        self._follow(observation, generator)
         if self._over or torch.rand((), generator=generator) >= self._config.share:
             return None
-        return self._policy.act(
-            observation, place if self._around is None else place + self._around
-        )
+        action = self._policy.act(observation, self._place(observation))
+        if hand := self._model.hand_actions:
+            action[:, list(hand)] = self._hand
+        return action
 
-    def _follow(
-        self, observation: torch.Tensor, place: torch.Tensor, generator: torch.Generator
-    ) -> None:
+    def _place(self, observation: torch.Tensor) -> torch.Tensor:
+        if self._waits:
+            return self._here
+        return self._model.object_position(observation) if self._around is None else self._around
+
+    def _follow(self, observation: torch.Tensor, generator: torch.Generator) -> None:
+        """Begin the next leg where this one has ended."""
+        if self._over:
+            return
+        if self._waits:
+            self._waits -= 1
+            return
+        self._ticks += 1
         if self._around is not None:
-            goal = place + self._around
-            if _apart(self._model.effector_position(observation), goal) < self._config.radius_m:
-                self._around = None
-                self._before = place  # it may have been pushed on the way; the touch is to come
-        elif self._config.again_m is not None:
-            if _apart(place, self._before) > self._config.again_m:
-                self._approach(place, generator)
-        elif not self._over:
-            self._over = touched(self._model, self._config, self._before, observation)
+            apart = _apart(self._model.effector_position(observation), self._around)
+            if apart < self._config.radius_m or self._ticks > LEG_TICKS:
+                self._begin_leg(observation, generator, around=False)
+            return
+        least = self._config.again_m or self._config.touched_m
+        if touched(self._model, self._before, observation, self._config.radius_m, least):
+            self._over = self._config.again_m is None
+            if not self._over:
+                self._begin_leg(observation, generator, around=self._draws_around(generator))
 
 
 class ContactLearner:
@@ -266,7 +299,8 @@ class ContactLearner:
         """Whether the effector came to the object."""
         observations = torch.as_tensor(episode.observations)
         start = self.model.object_position(observations[:1])
-        return touched(self.model, self.config.contact, start, observations)
+        contact = self.config.contact
+        return touched(self.model, start, observations, contact.radius_m, contact.touched_m)
 
     def learn(self, real: EpisodeReplay, updates: int, symmetry: Symmetry | None) -> Meter:
         """Take gradient steps, unless the object is touched often enough already.

@@ -26,6 +26,7 @@ class PointMassGoals:
     """Goal model of the point mass, whose object is the mark."""
 
     effector_entries = (0, 1)
+    hand_actions: tuple[int, ...] = ()
 
     def __init__(self, threshold: float = THRESHOLD) -> None:
         self.threshold = threshold

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from iher_robot.learning.config import ContactConfig, ExplorationConfig
-from iher_robot.learning.contact import ContactPolicy
+from iher_robot.learning.contact import LEG_TICKS, ContactPolicy
 from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.policy import explore
 from tests.learning.point_mass import MARK, PointMassGoals, observe
@@ -87,9 +87,10 @@ def test_by_a_point_around_the_object_first_and_then_to_it() -> None:
         exploring, rng = roundabout(), generator(seed)
         exploring.begin()
         place = place_of(exploring.act(at(1.2), mine, rng), (1.2, 0.0))
-        drawn.append(place)
+        drawn.append(place.copy())
         # What is touched or pushed on the way there does not end it.
         act = exploring.act(at(0.0, mark_m=0.3), mine, rng)
+        place[0] -= 0.3  # where it is from the mark now
         np.testing.assert_allclose(place_of(act, (0.0, 0.0)), place, atol=1e-4)
         # There, it goes on to the object, until that moves.
         act = exploring.act(at(*place, mark_m=0.3), mine, rng)
@@ -115,6 +116,39 @@ def test_it_approaches_anew_after_each_push_where_it_is_told_to() -> None:
         act = exploring.act(at(0.2, mark_m=mark_m + 0.09), mine, rng)  # not yet far enough
         np.testing.assert_allclose(place_of(act, (0.2, 0.0)), 0.0, atol=1e-4)
     assert len(set(places)) == 5
+
+
+def test_a_point_that_is_not_reached_is_given_up() -> None:
+    exploring, rng, mine = roundabout(), generator(3), torch.full((1, 2), MINE)
+    exploring.begin()
+    places = [place_of(exploring.act(at(1.2), mine, rng), (1.2, 0.0)) for _ in range(LEG_TICKS + 2)]
+    assert all(np.abs(place).max() > 0.05 for place in places[:LEG_TICKS])
+    np.testing.assert_allclose(places[-1], 0.0, atol=1e-4)
+
+
+class HandGoals(PointMassGoals):
+    """Its second action opens and closes a hand."""
+
+    hand_actions = (1,)
+
+
+def test_a_hand_is_told_one_thing_all_the_way_of_an_approach_and_waited_for() -> None:
+    config = ContactConfig(
+        enabled=True, share=1.0, radius_m=0.05, around_share=0.0, again_m=0.1, hand_ticks=3
+    )
+    policy = ContactPolicy(linear_policy(goal_gain=1.0), HandGoals(), config, rests=False)
+    exploring, rng, mine = Explorer(NO_NOISE, policy), generator(0), torch.full((1, 2), MINE)
+    exploring.begin()
+    told, moves = [], []
+    for approach in range(30):
+        mark_m = 0.2 * approach  # it was pushed, or jumps
+        acts = torch.cat([exploring.act(at(0.15, mark_m=mark_m), mine, rng) for _ in range(6)])
+        told.append(acts[:, 1].tolist())
+        moves.append(acts[:, 0].tolist())
+    assert all(set(hand) in ({1.0}, {-1.0}) for hand in told)
+    assert 5 < sum(hand[0] == 1.0 for hand in told) < 25
+    assert moves[0] == pytest.approx([-np.tanh(0.15)] * 6)  # there is nothing to wait for yet
+    assert moves[1] == pytest.approx([0.0] * 3 + [-np.tanh(0.15)] * 3, abs=1e-4)
 
 
 @pytest.mark.parametrize("rests", [True, False])
