@@ -118,6 +118,9 @@ class ReplayConfig(Section):
     by more than ``moved_m``: there hindsight teaches little."""
     moved_m: float = Field(0.01, gt=0.0)
     """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
+    actions: Literal["applied", "between"] = "applied"
+    """Which actions of the robot are learned from: those that were applied; or any between the
+    applied and the requested one, which all come to the same where a request was cut down."""
     tolerance: float = Field(1.0, gt=0.0, le=1.0)
     """Share of the task's own tolerance within which a goal counts as reached while learning: a
     policy that learned to stop at the very edge misses it half of the time. Success is judged by

@@ -134,7 +134,7 @@ class DynamicsEnsemble:
         tick: torch.Tensor,
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        observation, action, following = real.steps(episode, tick)
+        observation, action, following = real.draw_steps(episode, tick, generator)
         if self._symmetry is None:
             return observation, action, following
         maps = choose_maps(self._symmetry, observation, following, generator)

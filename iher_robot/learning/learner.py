@@ -90,9 +90,7 @@ class Learner:
             symmetry=self.symmetry,
         )
         self.generator = torch.Generator(device).manual_seed(seed)
-        self.real = EpisodeReplay(
-            shapes, capacity=config.replay.capacity, source=REAL, device=device
-        )
+        self.real = self._real_replay(config.replay.capacity)
         self.imagined = ImaginarySource(
             shapes,
             self.learning_goals,
@@ -138,17 +136,21 @@ class Learner:
         self.epoch += 1
         segments = self._store_real(episodes, self.epoch)
         if segments:
-            fresh = EpisodeReplay(
-                self.shapes,
-                capacity=len(segments) * self.shapes.episode_ticks,
-                source=REAL,
-                device=self.device,
-            )
+            fresh = self._real_replay(len(segments) * self.shapes.episode_ticks)
             self._add(segments, fresh, self.epoch)
             sample = self._sample(fresh, fresh.num_transitions)
             self.policy.update_normalizers(sample.observation, sample.goal)
             if self.contact is not None:
                 self.contact.add_real(fresh, episodes)
+
+    def _real_replay(self, capacity: int) -> EpisodeReplay:
+        return EpisodeReplay(
+            self.shapes,
+            capacity=capacity,
+            source=REAL,
+            device=self.device,
+            between=self.config.replay.actions == "between",
+        )
 
     def _store_real(self, episodes: Sequence[Episode], epoch: int) -> list[Episode]:
         segments = [segment for episode in episodes for segment in episode.segments()]
@@ -164,6 +166,9 @@ class Learner:
                 torch.as_tensor(segment.actions, device=self.device).unsqueeze(0),
                 torch.as_tensor(segment.desired_goal, device=self.device).unsqueeze(0),
                 epoch=epoch,
+                requested=torch.as_tensor(segment.requested_actions, device=self.device).unsqueeze(
+                    0
+                ),
                 weight=1.0 if self._moved(segment) else self.config.replay.still_weight,
             )
 

@@ -55,15 +55,28 @@ class EpisodeReplay:
         capacity: Transitions to keep, rounded down to whole episodes of full length.
         source: Index of the source, returned with every sample.
         device: Where the data live.
+        between: Learn from actions anywhere between the applied and the requested one.
     """
 
-    def __init__(self, shapes: Shapes, *, capacity: int, source: int, device: torch.device) -> None:
+    def __init__(
+        self,
+        shapes: Shapes,
+        *,
+        capacity: int,
+        source: int,
+        device: torch.device,
+        between: bool = False,
+    ) -> None:
         self.shapes = shapes
+        self._between = between
         self.source = source
         self.max_episodes = max(1, capacity // shapes.episode_ticks)
         episodes, ticks = self.max_episodes, shapes.episode_ticks
         self._observations = torch.empty(episodes, ticks + 1, shapes.obs_dim, device=device)
         self._actions = torch.empty(episodes, ticks, shapes.action_dim, device=device)
+        self._requested = torch.empty(
+            episodes if between else 0, ticks, shapes.action_dim, device=device
+        )
         self._goals = torch.empty(episodes, shapes.goal_dim, device=device)
         self._intrinsic = torch.zeros(episodes, ticks, device=device)
         self._lengths = torch.zeros(episodes, dtype=torch.long, device=device)
@@ -97,6 +110,7 @@ class EpisodeReplay:
         goals: torch.Tensor,
         *,
         epoch: int,
+        requested: torch.Tensor | None = None,
         intrinsic: torch.Tensor | None = None,
         weight: float = 1.0,
     ) -> None:
@@ -104,9 +118,11 @@ class EpisodeReplay:
 
         Args:
             observations: ``(episodes, length + 1, obs_dim)``
-            actions: ``(episodes, length, action_dim)``
+            actions: As they were applied. ``(episodes, length, action_dim)``
             goals: ``(episodes, goal_dim)``
             epoch: Epoch in which they were collected, from 1.
+            requested: Actions as they were asked for; the applied ones where none are given.
+                ``(episodes, length, action_dim)``
             intrinsic: Intrinsic rewards; zero where none are given. ``(episodes, length)``
             weight: How likely ``sample`` draws one of their transitions, against others.
         """
@@ -118,9 +134,13 @@ class EpisodeReplay:
             slots = slots[-self.max_episodes :]
             observations, actions = observations[-len(slots) :], actions[-len(slots) :]
             goals = goals[-len(slots) :]
+            requested = None if requested is None else requested[-len(slots) :]
             intrinsic = None if intrinsic is None else intrinsic[-len(slots) :]
         self._observations[slots, : length + 1] = observations.to(self._observations.dtype)
         self._actions[slots, :length] = actions.to(self._actions.dtype)
+        if self._between:
+            asked = actions if requested is None else requested
+            self._requested[slots, :length] = asked.to(self._requested.dtype)
         self._goals[slots] = goals.to(self._goals.dtype)
         self._intrinsic[slots] = 0.0
         if intrinsic is not None:
@@ -182,6 +202,26 @@ class EpisodeReplay:
             self._observations[episode, tick + 1],
         )
 
+    def draw_steps(
+        self, episode: torch.Tensor, tick: torch.Tensor, generator: torch.Generator
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Observation, action and next observation of the given ticks, to learn from.
+
+        Where a request was cut down to what the robot can do, any action on the way from the
+        applied to the requested one would have come to the same; with ``between`` one is drawn.
+        Learned from the applied ones alone, values of what cannot be done would be made up.
+
+        Args:
+            episode: Slot of each.
+            tick: Tick of each.
+            generator: Source of randomness.
+        """
+        observation, action, following = self.steps(episode, tick)
+        if self._between:
+            share = torch.rand(len(tick), 1, generator=generator, device=action.device)
+            action = torch.lerp(action, self._requested[episode, tick], share)
+        return observation, action, following
+
     def sample(
         self,
         count: int,
@@ -205,7 +245,7 @@ class EpisodeReplay:
             The batch.
         """
         episode, tick = self.draw(count, generator)
-        observation, action, following = self.steps(episode, tick)
+        observation, action, following = self.draw_steps(episode, tick, generator)
         device = observation.device
         ahead = torch.rand(count, generator=generator, device=device)
         relabel = torch.rand(count, generator=generator, device=device) < future_fraction
