@@ -225,7 +225,7 @@ class ContactConfig(Section):
     share: float = Field(0.5, ge=0.0, le=1.0)
     """Share of the steps that it takes in the episodes in which it explores."""
     episodes: float = Field(1.0, ge=0.0, le=1.0)
-    """Share of the episodes in which it explores while it rests; else it does in all of them."""
+    """Share of the episodes in which it explores once it rests; before it does in all of them."""
     again_m: Annotated[float | None, OR_OFF] = Field(None, gt=0.0)
     """Once the object was reached, or pushed by this much, m, approach it anew, to the end of the
     episode; ``off`` leaves all that follows the first touch to the policy."""
@@ -247,8 +247,8 @@ class ContactConfig(Section):
     updates_per_step: float = Field(1.0, gt=0.0, le=1000.0)
     """Its gradient updates for each real step."""
     until_touched: float = Field(0.9, gt=0.0, le=1.0)
-    """It rests, and is not trained, while the object was touched in this share of the newest 20
-    episodes."""
+    """It rests, and is not trained any more, once the object was touched in this share of 20
+    episodes in a row."""
 
 
 class LearnerConfig(Section):

@@ -112,7 +112,7 @@ class ContactPolicy:
         policy: Its weights.
         model: Where effector and object are.
         config: How much it explores, and what a touch is.
-        rests: Whether it has a part in a share of the episodes only.
+        rests: Whether it has a part in a share of the episodes only; before, in all of them.
     """
 
     def __init__(
@@ -201,8 +201,12 @@ class Play:
         self._follow(observation, generator)
         if self._over or torch.rand((), generator=generator) >= self._config.share:
             return None
-        action = self._policy.act(observation, self._place(observation))
-        if hand := self._model.hand_actions:
+        return self._policy.act(observation, self._place(observation))
+
+    def hand(self, action: torch.Tensor) -> torch.Tensor:
+        """The action with the hand as this leg has it, undisturbed: else it would let go."""
+        if (hand := self._model.hand_actions) and not self._over:
+            action = action.clone()
             action[:, list(hand)] = self._hand
         return action
 
@@ -240,6 +244,9 @@ class ContactLearner:
         config: Settings of the learner; networks and optimisers are as those of the main policy.
         seed: Seeds every draw.
         device: Where it computes.
+
+    Attributes:
+        rests: Whether the object was touched often enough for it to be left as it is.
     """
 
     def __init__(
@@ -276,6 +283,7 @@ class ContactLearner:
         self.ddpg = DDPG(self.policy, shapes, own, generator=initial, device=device)
         self.generator = torch.Generator(device).manual_seed(seed)
         self._touched: deque[bool] = deque(maxlen=TOUCH_WINDOW)
+        self.rests = False
 
     def add_real(self, fresh: EpisodeReplay, episodes: Sequence[Episode]) -> None:
         """Take in an epoch's episodes.
@@ -287,13 +295,8 @@ class ContactLearner:
         batch = fresh.sample(fresh.num_transitions, self.generator, self.goals, future_fraction=1.0)
         self.policy.update_normalizers(batch.observation, batch.goal)
         self._touched.extend(self.touched(episode) for episode in episodes)
-
-    @property
-    def rests(self) -> bool:
-        """Whether the newest episodes touch the object often enough."""
-        if len(self._touched) < TOUCH_WINDOW:
-            return False
-        return float(np.mean(self._touched)) >= self.config.contact.until_touched
+        often = float(np.mean(self._touched)) >= self.config.contact.until_touched
+        self.rests = self.rests or (often and len(self._touched) == TOUCH_WINDOW)
 
     def touched(self, episode: Episode) -> bool:
         """Whether the effector came to the object."""
@@ -303,7 +306,7 @@ class ContactLearner:
         return touched(self.model, start, observations, contact.radius_m, contact.touched_m)
 
     def learn(self, real: EpisodeReplay, updates: int, symmetry: Symmetry | None) -> Meter:
-        """Take gradient steps, unless the object is touched often enough already.
+        """Take gradient steps, unless it rests.
 
         Args:
             real: All real data.
@@ -334,6 +337,7 @@ class ContactLearner:
             "ddpg": self.ddpg.state_dict(),
             "generator": self.generator.get_state(),
             "touched": list(self._touched),
+            "rests": self.rests,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -343,6 +347,7 @@ class ContactLearner:
         self.generator.set_state(state["generator"].cpu())
         self._touched.clear()
         self._touched.extend(state["touched"])
+        self.rests = state["rests"]
 
     def snapshot(self, device: torch.device) -> ContactPolicy:
         """Copy of the policy, for an actor. It is independent of later updates."""

@@ -44,5 +44,6 @@ class Explorer:
             if self._fresh:
                 self._play, self._fresh = self._contact.begin(observation, generator), False
             towards = None if self._play is None else self._play.act(observation, generator)
-            action = action if towards is None else towards
+            if self._play is not None and towards is not None:
+                return self._play.hand(explore(towards, self.config, generator))
         return explore(action, self.config, generator)

@@ -175,3 +175,28 @@ def test_without_regeneration_the_oldest_imagined_data_go_first() -> None:
     assert {tuple(row) for row in old.tolist()} & {tuple(row) for row in now.tolist()} == {
         tuple(row) for row in old[4 * TICKS :].tolist()
     }
+
+
+@pytest.mark.parametrize("actions", ["applied", "between"])
+def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_from(
+    actions: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = new(quick(replay={"actions": actions}))
+    episodes = [
+        replace(e, actions=e.actions * 0, requested_actions=e.actions * 0 + 1.0) for e in real(1)
+    ]
+    seen = []
+    inputs = learner.ensemble._inputs
+
+    def spy(observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        seen.append(action)
+        return inputs(observation, action)
+
+    monkeypatch.setattr(learner.ensemble, "_inputs", spy)
+    learner.add_real(episodes)
+    learner.ensemble.fit_normalizers(learner.real, learner.generator)
+    learner.ensemble.train(learner.real, 2, batch_size=64, generator=learner.generator)
+    for action in (learner.sample_batches(1)[0].action, seen[-1]):
+        assert (action >= 0).all()
+        assert (action <= 1).all()
+        assert bool((action > 0).any()) is (actions == "between")

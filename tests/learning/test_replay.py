@@ -7,10 +7,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iher_robot.learning.goal_model import IMAGINED
+from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.replay import EpisodeReplay, Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.stand_ins import (
+    CPU,
     deviation,
     generator,
     marked_episode,
@@ -207,3 +208,29 @@ def test_batches_of_several_sources_are_joined_in_order() -> None:
     assert joined.source.tolist() == [0, 0, 0, 1, 1]
     assert joined.action[:, 0].tolist() == [1, 1, 1, 2, 2]
     assert torch.equal(joined.goal, torch.cat([real.goal, imagined.goal]))
+
+
+@pytest.mark.parametrize("between", [False, True])
+def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
+    between: bool,
+) -> None:
+    replay = EpisodeReplay(SHAPES, capacity=1200, source=REAL, device=CPU, between=between)
+    shape = (3, SHAPES.episode_ticks, SHAPES.action_dim)
+    applied, requested = torch.full(shape, 0.2), torch.full(shape, 1.0)
+    requested[..., 1] = -0.6
+    observations = torch.zeros(3, SHAPES.episode_ticks + 1, SHAPES.obs_dim)
+    goals = torch.zeros(3, SHAPES.goal_dim)
+    replay.add(observations, applied, goals, epoch=1, requested=requested)
+    replay.add(observations, -applied, goals, epoch=1)  # nothing was cut down
+    action = replay.sample(4000, generator(), PointMassGoals(), future_fraction=0.8).action
+    first = action[action[:, 0] > 0]
+    assert (action[action[:, 0] < 0] == -0.2).all()
+    assert len(first) == pytest.approx(2000, abs=150)
+    share = (first[:, 0] - 0.2) / 0.8
+    torch.testing.assert_close(first[:, 1], 0.2 - 0.8 * share)  # one share for a whole action
+    if between:
+        assert float(share.mean()) == pytest.approx(0.5, abs=0.03)
+        assert float(share.std()) == pytest.approx(12**-0.5, abs=0.03)
+    else:
+        assert (share == 0).all()
+    assert torch.equal(stored(replay)[1][:5], applied[0, :5])
