@@ -33,7 +33,7 @@ class GoalModel(ABC):
             layout: Layout of the observations.
             achieved: Entry that is compared with the goal.
             threshold: Distance within which a goal is reached, m.
-            hand_actions: Entries of the action that open and close a hand.
+            hand_actions: Entries of the action that open a hand, at 1, and close it, at -1.
         """
         self.layout = layout
         self.threshold = threshold

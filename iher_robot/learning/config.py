@@ -230,7 +230,7 @@ class ContactConfig(Section):
     """Once the object was reached, or pushed by this much, m, approach it anew, to the end of the
     episode; ``off`` leaves all that follows the first touch to the policy."""
     hand_ticks: int = Field(5, ge=0)
-    """Ticks in which it waits for the hand, which is told to open or to close for each approach."""
+    """Ticks in which it waits for a hand at the object and at the points around it."""
     radius_m: float = Field(0.03, gt=0.0)
     """The second policy's goal is reached within this distance, m."""
     touched_m: float = Field(0.01, gt=0.0)

@@ -36,7 +36,7 @@ class ContactModel(Protocol):
 
     @property
     def hand_actions(self) -> tuple[int, ...]:
-        """Entries of the action that open and close a hand; empty without one."""
+        """Entries of the action that open a hand, at 1, and close it, at -1; empty without one."""
 
     def effector_position(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Position of the end effector, m. ``(..., obs_dim) -> (..., 3)``"""
@@ -143,7 +143,8 @@ class ContactPolicy:
 class Play:
     """One episode of going to the object, leg by leg: to a point around it, or to itself.
 
-    In a leg the hand, if there is one, is told the same all the way: to open or to close.
+    In a leg the hand, if there is one, is told the same all the way: to open on the way to the
+    object, to open or to close on the way from it.
 
     Args:
         policy: Who goes there.
@@ -185,7 +186,9 @@ class Play:
             drawn[2:] = drawn[2:].abs()  # up
             self._around = self._before + self._config.around_m * drawn
         if hand := self._model.hand_actions:
-            self._hand = torch.randint(2, (len(hand),), generator=generator) * 2.0 - 1.0
+            self._hand = torch.ones(len(hand))
+            if around:
+                self._hand -= 2.0 * torch.randint(2, (len(hand),), generator=generator)
             self._waits = self._config.hand_ticks
 
     def act(self, observation: torch.Tensor, generator: torch.Generator) -> torch.Tensor | None:

@@ -132,26 +132,39 @@ class HandGoals(PointMassGoals):
     hand_actions = (1,)
 
 
-def test_a_hand_is_told_one_thing_all_the_way_of_an_approach_and_waited_for() -> None:
+def with_hand(around_share: float) -> ContactPolicy:
     config = ContactConfig(
-        enabled=True, share=1.0, radius_m=0.05, around_share=0.0, again_m=0.1, hand_ticks=3
+        enabled=True, share=1.0, radius_m=0.05, again_m=0.1, hand_ticks=3, around_share=around_share
     )
-    policy = ContactPolicy(linear_policy(goal_gain=1.0), HandGoals(), config, rests=False)
-    rng, mine, told, moves = generator(0), torch.full((1, 2), MINE), [], []
-    noisy = Explorer(ExplorationConfig(noise_std=0.2, random_fraction=0.3), policy)
-    hands = {float(noisy.act(at(0.5), mine, rng)[0, 1]) for _ in range(50)}
-    assert hands in ({1.0}, {-1.0})
-    exploring = Explorer(NO_NOISE, policy)
+    return ContactPolicy(linear_policy(goal_gain=1.0), HandGoals(), config, rests=False)
+
+
+def test_a_hand_is_open_on_the_way_to_the_object_and_waited_for_there() -> None:
+    exploring, rng, mine = (
+        Explorer(NO_NOISE, with_hand(0.0)),
+        generator(0),
+        torch.full((1, 2), MINE),
+    )
     exploring.begin()
-    for approach in range(30):
-        mark_m = 0.2 * approach  # it was pushed, or jumps
-        acts = torch.cat([exploring.act(at(0.15, mark_m=mark_m), mine, rng) for _ in range(6)])
-        told.append(acts[:, 1].tolist())
+    moves = []
+    for approach in range(2):
+        place = at(0.15, mark_m=0.2 * approach)  # it was pushed, or jumps
+        acts = torch.cat([exploring.act(place, mine, rng) for _ in range(6)])
+        assert (acts[:, 1] == 1.0).all()
         moves.append(acts[:, 0].tolist())
-    assert all(set(hand) in ({1.0}, {-1.0}) for hand in told)  # whatever disturbs the rest
-    assert 5 < sum(hand[0] == 1.0 for hand in told) < 25
     assert moves[0] == pytest.approx([-np.tanh(0.15)] * 6)  # there is nothing to wait for yet
     assert moves[1] == pytest.approx([0.0] * 3 + [-np.tanh(0.15)] * 3, abs=1e-4)
+
+
+def test_from_the_object_a_hand_is_told_one_thing_and_no_noise_changes_it() -> None:
+    noisy = ExplorationConfig(noise_std=0.2, random_fraction=0.3)
+    rng, mine, told = generator(0), torch.full((1, 2), MINE), []
+    for _ in range(100):
+        exploring = Explorer(noisy, with_hand(1.0))
+        hands = {float(exploring.act(at(5.0), mine, rng)[0, 1]) for _ in range(5)}
+        assert hands in ({1.0}, {-1.0})
+        told.append(hands.pop())
+    assert 30 < told.count(1.0) < 70
 
 
 @pytest.mark.parametrize("rests", [True, False])
