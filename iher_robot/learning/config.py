@@ -229,6 +229,8 @@ class ContactConfig(Section):
     again_m: Annotated[float | None, OR_OFF] = Field(None, gt=0.0)
     """Once the object was reached, or pushed by this much, m, approach it anew, to the end of the
     episode; ``off`` leaves all that follows the first touch to the policy."""
+    hand_over: float = Field(0.0, ge=0.0, le=1.0)
+    """With ``again_m``: chance at each touch that the policy has the rest of the episode."""
     hand_ticks: int = Field(5, ge=0)
     """Ticks in which it waits for a hand at the object and at the points around it."""
     radius_m: float = Field(0.03, gt=0.0)

@@ -233,9 +233,12 @@ class Play:
             return
         least = self._config.again_m or self._config.touched_m
         if touched(self._model, self._before, observation, self._config.radius_m, least):
-            self._over = self._config.again_m is None
+            self._over = self._config.again_m is None or self._hands_over(generator)
             if not self._over:
                 self._begin_leg(observation, generator, around=self._draws_around(generator))
+
+    def _hands_over(self, generator: torch.Generator) -> bool:
+        return bool(torch.rand((), generator=generator) < self._config.hand_over)
 
 
 class ContactLearner:

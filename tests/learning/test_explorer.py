@@ -132,6 +132,22 @@ class HandGoals(PointMassGoals):
     hand_actions = (1,)
 
 
+def test_at_a_touch_it_may_hand_over_to_the_policy_for_good() -> None:
+    policy = linear_policy([float(torch.atanh(torch.tensor(THEIRS)))] * 2)
+    config = ContactConfig(
+        enabled=True, share=1.0, radius_m=0.05, again_m=1.0, around_share=0.0, hand_over=0.4
+    )
+    over = []
+    for seed in range(300):
+        exploring = Explorer(NO_NOISE, ContactPolicy(policy, PointMassGoals(), config, rests=False))
+        exploring.begin()
+        assert taken_over(exploring, 2, OFF_RADIUS, seed) == 1.0
+        taken_over(exploring, 1, 0.0, seed)  # the touch
+        over.append(taken_over(exploring, 5, OFF_RADIUS, seed))
+    assert set(over) == {0.0, 1.0}
+    assert np.mean(over) == pytest.approx(0.6, abs=0.08)
+
+
 def with_hand(around_share: float) -> ContactPolicy:
     config = ContactConfig(
         enabled=True, share=1.0, radius_m=0.05, again_m=0.1, hand_ticks=3, around_share=around_share
