@@ -206,11 +206,17 @@ class Play:
             return None
         return self._policy.act(observation, self._place(observation))
 
-    def hand(self, action: torch.Tensor) -> torch.Tensor:
-        """The action with the hand as this leg has it, undisturbed: else it would let go."""
-        if (hand := self._model.hand_actions) and not self._over:
-            action = action.clone()
-            action[:, list(hand)] = self._hand
+    def steady(self, meant: torch.Tensor, disturbed: torch.Tensor) -> torch.Tensor:
+        """Take noise off where it would undo the leg: off the hand, and off all while that moves.
+
+        Args:
+            meant: What ``act`` returned. ``(1, action_dim)``
+            disturbed: The same with noise. ``(1, action_dim)``
+        """
+        if not self._model.hand_actions:
+            return disturbed
+        action = (meant if self._waits else disturbed).clone()
+        action[:, list(self._model.hand_actions)] = self._hand
         return action
 
     def _place(self, observation: torch.Tensor) -> torch.Tensor:

@@ -45,5 +45,5 @@ class Explorer:
                 self._play, self._fresh = self._contact.begin(observation, generator), False
             towards = None if self._play is None else self._play.act(observation, generator)
             if self._play is not None and towards is not None:
-                return self._play.hand(explore(towards, self.config, generator))
+                return self._play.steady(towards, explore(towards, self.config, generator))
         return explore(action, self.config, generator)

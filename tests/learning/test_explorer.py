@@ -183,6 +183,16 @@ def test_from_the_object_a_hand_is_told_one_thing_and_no_noise_changes_it() -> N
     assert 30 < told.count(1.0) < 70
 
 
+def test_while_a_hand_moves_nothing_is_disturbed() -> None:
+    noisy = ExplorationConfig(noise_std=0.2, random_fraction=0.3)
+    exploring, rng, mine = Explorer(noisy, with_hand(0.0)), generator(0), torch.full((1, 2), MINE)
+    exploring.begin()
+    exploring.act(at(0.5), mine, rng)
+    acts = torch.cat([exploring.act(at(0.04), mine, rng) for _ in range(3)])  # it is touched
+    np.testing.assert_allclose(acts[:, 0], 0.0, atol=1e-4)
+    assert abs(float(exploring.act(at(0.04), mine, rng)[0, 0]) + np.tanh(0.04)) > 1e-3
+
+
 @pytest.mark.parametrize("rests", [True, False])
 def test_it_has_a_part_in_its_share_of_the_episodes_while_it_rests(rests: bool) -> None:
     policy = linear_policy([float(torch.atanh(torch.tensor(THEIRS)))] * 2)
