@@ -178,7 +178,6 @@ class Play:
         self, observation: torch.Tensor, generator: torch.Generator, *, around: bool
     ) -> None:
         self._before = self._model.object_position(observation)
-        self._here = self._model.effector_position(observation)
         self._ticks = 0
         self._around = None
         if around:
@@ -204,10 +203,11 @@ class Play:
         self._follow(observation, generator)
         if self._over or torch.rand((), generator=generator) >= self._config.share:
             return None
-        return self._policy.act(observation, self._place(observation))
+        action = self._policy.act(observation, self._place(observation))
+        return torch.zeros_like(action) if self._waits else action
 
     def steady(self, meant: torch.Tensor, disturbed: torch.Tensor) -> torch.Tensor:
-        """Take noise off where it would undo the leg: off the hand, and off all while that moves.
+        """Take noise off where it would undo the leg: off the hand, and all while that moves.
 
         Args:
             meant: What ``act`` returned. ``(1, action_dim)``
@@ -220,8 +220,6 @@ class Play:
         return action
 
     def _place(self, observation: torch.Tensor) -> torch.Tensor:
-        if self._waits:
-            return self._here
         return self._model.object_position(observation) if self._around is None else self._around
 
     def _follow(self, observation: torch.Tensor, generator: torch.Generator) -> None:
