@@ -161,10 +161,7 @@ def pair(request: pytest.FixtureRequest) -> Iterator[Twins]:
 def name(request: pytest.FixtureRequest, pair: Twins) -> str:
     """A map that the task declares."""
     chosen = str(request.param)
-    if (
-        chosen.startswith("mirror")
-        and chosen.removeprefix("mirror ") not in pair.first.task.mirrors
-    ):
+    if chosen.startswith("mirror") and chosen.removeprefix("mirror ") not in pair.symmetry.mirrors:
         pytest.skip(f"{pair.first.task.name} declares no {chosen}")
     return chosen
 

@@ -296,17 +296,19 @@ class ContactLearner:
         self.rests = False
 
     def add_real(self, fresh: EpisodeReplay, episodes: Sequence[Episode]) -> None:
-        """Take in an epoch's episodes.
+        """Take in an epoch's episodes, unless it rests.
 
         Args:
             fresh: Their transitions.
             episodes: The episodes.
         """
+        if self.rests:
+            return
         batch = fresh.sample(fresh.num_transitions, self.generator, self.goals, future_fraction=1.0)
         self.policy.update_normalizers(batch.observation, batch.goal)
         self._touched.extend(self.touched(episode) for episode in episodes)
         often = float(np.mean(self._touched)) >= self.config.contact.until_touched
-        self.rests = self.rests or (often and len(self._touched) == TOUCH_WINDOW)
+        self.rests = often and len(self._touched) == TOUCH_WINDOW
 
     def touched(self, episode: Episode) -> bool:
         """Whether the effector came to the object."""

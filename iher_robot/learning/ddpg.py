@@ -142,10 +142,11 @@ class DDPG:
         if self._updates % self.config.ddpg.actor_period == 0:
             report["q"] = self._update_actor(features)
         self._updates += 1
+        if (average := self.config.ddpg.policy_average) is not None:
+            # At first the plain mean, so that nothing of the initial weights stays in it.
+            _blend(self._mean_actor, self.policy.actor, max(average, 1.0 / self._updates))
         if self.config.ddpg.target_update == "update":
             self.update_targets()
-        if (average := self.config.ddpg.policy_average) is not None:
-            _blend(self._mean_actor, self.policy.actor, average)
         return report
 
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
