@@ -113,7 +113,7 @@ def measure(learner: Learner, precision: str) -> dict[str, float]:
     left, right = torch.randn(2048, 256), torch.randn(256, 256)
     return {
         f"policy updates/s, batch 2048, {precision}": rate(
-            lambda: learner.ddpg.update(learner.sample_batch()), 20
+            lambda: learner.ddpg.update(learner.sample_batches(1)[0]), 20
         ),
         f"dynamics steps/s, 5 x 4096, {precision}": rate(train_dynamics, 3),
         f"imagined transitions/s, 5 members, {precision}": 50_000 * rate(imagine, 1),

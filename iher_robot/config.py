@@ -149,7 +149,10 @@ def read_config(path: Path) -> RunConfig:
     missing = [key for key in _KEYS.leaves if key not in given]
     if missing:
         # Not filled up with defaults: the run would go on as another one than it was.
-        raise UserError(f"{path} is damaged: it has no {missing[0]}; restore it as it was")
+        raise UserError(
+            f"{path} has no {missing[0]}: it is damaged, or from another version of iher-robot; "
+            "restore it as it was, or start a new run"
+        )
     config = _resolve([layer])
     try:
         algorithm_layer(config.algo)

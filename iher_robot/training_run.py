@@ -134,7 +134,7 @@ class TrainingRun:
         """Collect the epoch's real episodes, as far as the budget goes."""
         wanted = self.config.learner.schedule.real_episodes
         policy = self.learner.acting_policy(CPU)
-        explorer = self.learner.explorer(CPU)
+        explorer = self.learner.explorer()
         while len(self.pending) < wanted and not self._spent:
             self.display.phase("collect", len(self.pending), wanted)
             ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)

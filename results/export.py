@@ -44,10 +44,14 @@ def main() -> None:
     torch.set_num_threads(1)
     target = Path(__file__).parent / options.name
     target.mkdir(parents=True, exist_ok=True)
-    curves, config = {}, {}
-    for path in options.runs:
-        document = read_run(path)
-        config = document["config"]
+    documents = [(path, read_run(path)) for path in options.runs]
+    config = documents[0][1]["config"]
+    if len({document["config"]["seed"] for _, document in documents}) < len(documents):
+        parser.error("two runs have the same seed")
+    if any(document["config"] | {"seed": 0} != config | {"seed": 0} for _, document in documents):
+        parser.error("the runs differ by more than their seeds")
+    curves = {}
+    for path, document in documents:
         if options.official:
             policy = RunDirectory.open(path).policy_path
             result = evaluate(policy, episodes=options.official, official=True)
@@ -55,15 +59,16 @@ def main() -> None:
                 "environment": result.environment,
                 "episodes": result.episodes,
                 "successes": result.successes,
+                "warnings": list(result.warnings),
             }
             print(result.summary())
-        name = f"seed{config['seed']}"
-        (target / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
-        curves[f"seed {config['seed']}"] = document["epochs"]
+        seed = document["config"]["seed"]
+        (target / f"seed{seed}.json").write_text(json.dumps(document, indent=1) + "\n")
+        curves[f"seed {seed}"] = document["epochs"]
     plot_success(
         curves,
         target / "success.png",
-        title=f"{config['task']} on {config['robot'] or config['driver']}",
+        title=f"{config['task']} on {config.get('robot') or config['driver']}",
         subtitle=f"{config['algo']}, preset {config['preset']}, {options.name}",
         budget_minutes=config["budget_minutes"],
     )

@@ -2,8 +2,8 @@
 
 python results/table.py results/NAME...
 
-Minutes are those of the first evaluation that reached the rate, for each seed; the median counts
-a seed that never did as later than all others.
+Minutes are those of the first evaluation that reached the rate, for each seed, in their order; a
+seed that never did counts as later than all others in the median.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def minutes_to(rate: float, run: dict[str, Any]) -> float:
 def cell(values: list[float]) -> str:
     """Median, and each seed's."""
     shown = ["never" if math.isinf(value) else f"{value:.1f}" for value in values]
-    median = statistics.median_low(values)
+    median = statistics.median(values)
     middle = "never" if math.isinf(median) else f"{median:.1f}"
     return f"**{middle}** ({', '.join(shown)})"
 

@@ -253,10 +253,10 @@ def test_a_config_file_lacks_no_key(tmp_path: Path) -> None:
         with pytest.raises(UserError, match=r"config\.yaml"):
             read_config(path)
     path.write_text("")
-    with pytest.raises(UserError, match=r"config\.yaml is damaged: it has no task;"):
+    with pytest.raises(UserError, match=r"config\.yaml has no task: it is damaged"):
         read_config(path)
     path.write_text("".join(line for line in lines if "gamma:" not in line))
-    with pytest.raises(UserError, match=r"it has no learner\.ddpg\.gamma;"):
+    with pytest.raises(UserError, match=r"config\.yaml has no learner\.ddpg\.gamma: "):
         read_config(path)
 
 

@@ -22,6 +22,7 @@ import iher_robot.chosen_robot
 import iher_robot.training_run
 import iher_robot.workcell
 from drivers.rendering import CannotRender
+from iher_robot.checkpoint import load_checkpoint
 from iher_robot.collect import Recorder
 from iher_robot.display import TrainingDisplay
 from iher_robot.env import EpisodeAborted, GoalRobotEnv, ResetFailed, make_env
@@ -460,6 +461,16 @@ def test_a_film_that_cannot_be_made_is_refused_before_the_run(
     with pytest.raises(CannotRender):
         run(tmp_path / "run", EPOCH_MINUTES, video=True)
     assert not (tmp_path / "run").exists()
+
+
+def test_the_running_mean_is_what_is_evaluated_and_kept(tmp_path: Path) -> None:
+    result = run(tmp_path / "run", EPOCH_MINUTES, "learner.ddpg.policy_average=0.01")
+    checkpoint = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
+    assert checkpoint is not None
+    kept, learner = load_policy(result.policy).policy["actor"], checkpoint["learner"]
+    for name, weights in learner["ddpg"]["mean_actor"].items():
+        assert torch.equal(kept[name], weights)
+        assert not torch.equal(kept[name], learner["policy"]["actor"][name])
 
 
 def test_seeds_decide_a_run(tmp_path: Path) -> None:

@@ -120,7 +120,8 @@ class ReplayConfig(Section):
     """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
     actions: Literal["applied", "between"] = "applied"
     """Which actions of the robot are learned from: those that were applied; or any between the
-    applied and the requested one, which all come to the same where a request was cut down."""
+    applied and the requested one, which all come to the same where a request was cut down. A cached
+    intrinsic reward is that of the applied one."""
     tolerance: float = Field(1.0, gt=0.0, le=1.0)
     """Share of the task's own tolerance within which a goal counts as reached while learning: a
     policy that learned to stop at the very edge misses it half of the time. Success is judged by
@@ -177,8 +178,7 @@ class ImaginationConfig(Section):
     """Imagined share of each batch; ``off`` takes the paper's p(imag), the share of newly imagined
     transitions in all transitions collected so far."""
     keep: float = Field(1.0, gt=0.0, le=1.0)
-    """Share of the rollouts imagined together that is kept: those on which the models agree
-    best."""
+    """Share of the imagined rollouts that is kept: those on which the models agree best."""
     state_margin: float = Field(0.1, ge=0.0)
     """Imagined observations are bounded to the real data's range, widened by this share."""
 
@@ -214,7 +214,8 @@ class SymmetryConfig(Section):
     """Replace every transition that is sampled, for the policy and for the models, and every
     start of an imaginary rollout, by a random image of it."""
     rough: bool = False
-    """Among the maps are those that the task declares to hold only roughly."""
+    """Among the maps are those that the task declares to hold only roughly, if it declares any for
+    such a robot."""
 
 
 class ContactConfig(Section):
@@ -234,10 +235,10 @@ class ContactConfig(Section):
     hand_ticks: int = Field(5, ge=0)
     """Ticks in which it waits for a hand at the object and at the points around it."""
     radius_m: float = Field(0.03, gt=0.0)
-    """The second policy's goal is reached within this distance, m."""
+    """The second policy's goal is reached within this distance, m, and the object touched."""
     touched_m: float = Field(0.01, gt=0.0)
-    """The object counts as touched once it was moved by this much, or the effector was within
-    ``radius_m`` of it, m."""
+    """The object counts as touched, too, once it was moved by this much, m; large, where only the
+    hand about it counts."""
     around_share: float = Field(0.0, ge=0.0, le=1.0)
     """Share of the approaches that go to a point around the object first, so that the object is
     touched from every side."""

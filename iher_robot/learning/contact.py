@@ -181,7 +181,7 @@ class Play:
         self._ticks = 0
         self._around = None
         if around:
-            drawn = 2.0 * torch.rand(self._before.shape[-1], generator=generator) - 1.0
+            drawn = 2.0 * torch.rand(self._before.shape[-1], generator=generator) - 1.0  # on CPU
             drawn[2:] = drawn[2:].abs()  # up
             self._around = self._before + self._config.around_m * drawn
         if hand := self._model.hand_actions:
@@ -251,7 +251,8 @@ class ContactLearner:
     Args:
         shapes: Sizes of the task's arrays.
         model: Where effector and object are.
-        config: Settings of the learner; networks and optimisers are as those of the main policy.
+        config: Settings of the learner; but for the networks' widths and the number of critics the
+            optimisation is that of the main policy.
         seed: Seeds every draw.
         device: Where it computes.
 

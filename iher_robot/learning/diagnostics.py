@@ -98,7 +98,7 @@ def imagined_success(
     """Success rate in imagination from the starts and goals of real evaluation episodes.
 
     Args:
-        learner: Its models and its policy without noise, told that it imagines.
+        learner: Its models and the policy that acts, without noise, told that it imagines.
         episodes: Real episodes.
         generator: Draws the members.
 
@@ -113,12 +113,13 @@ def imagined_success(
         np.stack([e.desired_goal for e in episodes]), dtype=torch.float32, device=device
     )
     source = torch.full((len(starts),), IMAGINED, device=device)
+    policy = learner.acting_policy(device)
     rollouts = imagine(
         learner.ensemble,
         learner.goal_model,
         start=starts,
         goals=goals,
-        act=lambda observation: learner.policy.act(observation, goals, source),
+        act=lambda observation: policy.act(observation, goals, source),
         ticks=learner.shapes.episode_ticks,
         state_margin=learner.config.imagination.state_margin,
         spread=_no_spread,

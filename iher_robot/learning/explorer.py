@@ -10,7 +10,7 @@ from iher_robot.learning.policy import explore
 
 
 class Explorer:
-    """Noise, and until the object is touched a policy that goes there.
+    """Noise, and a policy that goes to the object. It acts on the CPU.
 
     Args:
         config: Noise on the actions.

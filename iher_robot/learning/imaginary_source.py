@@ -175,12 +175,14 @@ class ImaginarySource:
         Args:
             ensemble: The models.
             policy: The policy, here with exploration.
-            count: Rollouts to imagine.
+            count: Rollouts to add; with ``keep`` more are imagined.
             epoch: The current epoch.
 
         Returns:
             What they show; ``kept`` is the number that were added.
         """
+        keep = count
+        count = math.ceil(count / self.config.imagination.keep)
         start, goals = self._starts(count)
         flip = torch.rand(count, generator=self.generator, device=self.device)
         source = torch.where(flip < self.config.exploration.source_flip, REAL, IMAGINED)
@@ -202,7 +204,7 @@ class ImaginarySource:
         )
         finite = len(rollouts.actions)
         agreed = rollouts.spreads.mean(dim=1).argsort()
-        agreed = agreed[: math.ceil(self.config.imagination.keep * finite)].sort().values
+        agreed = agreed[:keep].sort().values
         reward = torch.zeros_like(rollouts.spreads)
         if self.config.intrinsic.enabled:
             reward = intrinsic_reward(rollouts.spreads, self.config.intrinsic)

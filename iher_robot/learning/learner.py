@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.contact import ContactLearner, ContactModel
+from iher_robot.learning.contact import BLOCK, ContactLearner, ContactModel
 from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
@@ -32,7 +32,8 @@ def silent(phase: str, done: int, total: int) -> None:
 class Learner:
     """Learns a goal-conditioned policy from real episodes and from imagination.
 
-    One epoch is ``add_real`` with the episodes that ``policy`` collected, then ``learn``.
+    One epoch is ``add_real`` with the episodes that ``acting_policy`` and ``explorer`` collected,
+    then ``learn``.
 
     Args:
         shapes: Sizes of the arrays.
@@ -117,13 +118,9 @@ class Learner:
         """
         return Policy.from_snapshot(self.ddpg.acting_snapshot(), device=device)
 
-    def explorer(self, device: torch.device) -> Explorer:
-        """What disturbs an actor's actions, as it is now; it does not follow later updates.
-
-        Args:
-            device: Where the actor computes.
-        """
-        contact = None if self.contact is None else self.contact.snapshot(device)
+    def explorer(self) -> Explorer:
+        """What disturbs the actions of an actor on the CPU; it does not follow later updates."""
+        contact = None if self.contact is None else self.contact.snapshot(torch.device("cpu"))
         return Explorer(self.config.exploration, contact)
 
     def add_real(self, episodes: Sequence[Episode]) -> None:
@@ -208,9 +205,10 @@ class Learner:
             if imagination:
                 meter.add(self.imagined.imagine_cycle(self.ensemble, self.policy, epoch=self.epoch))
             batches = min(schedule.batches, updates - done)
-            for batch in self.sample_batches(batches):
-                meter.add(self.ddpg.update(batch))
-                self.updates += 1
+            for drawn in range(0, batches, BLOCK):
+                for batch in self.sample_batches(min(BLOCK, batches - drawn)):
+                    meter.add(self.ddpg.update(batch))
+                    self.updates += 1
             self.ddpg.end_cycle()
             self.cycle += 1
             if imagination and self.cycle % schedule.policy_copy_cycles == 0:

@@ -39,6 +39,7 @@ class Transitions:
 
     def split(self, count: int) -> list[Transitions]:
         """Cut into so many equal batches."""
+        assert len(self.source) % count == 0, (len(self.source), count)
         fields = Transitions.__dataclass_fields__
         chunks = zip(*(getattr(self, f).chunk(count) for f in fields), strict=True)
         return [Transitions(*chunk) for chunk in chunks]

@@ -197,7 +197,7 @@ def test_the_explorer_of_a_learner_goes_to_the_object_only_where_contact_is_enab
         settings = quick(contact={"enabled": enabled, "share": 1.0}, exploration=quiet)
         learner = new(settings, contact_model=PointMassGoals())
         mine = torch.full((1, 2), 0.25)
-        act = learner.explorer(CPU).act(observation, mine, torch.Generator().manual_seed(0))
+        act = learner.explorer().act(observation, mine, torch.Generator().manual_seed(0))
         assert torch.equal(act, mine) is not enabled
         if learner.contact is not None:
             assert torch.equal(act, towards_mark(learner.contact.snapshot(CPU), observation))

@@ -329,7 +329,7 @@ def test_the_rollouts_on_which_the_models_agree_best_are_kept() -> None:
         imagination={"keep": 0.25, "branch_ticks": 1},
     )
     imagined = source(config)
-    report = imagined.add_rollouts(ensemble, linear_policy(), 200, epoch=1)
+    report = imagined.add_rollouts(ensemble, linear_policy(), 50, epoch=1)
     assert report["kept"] == 50
     _, action, _ = stored(imagined.replay)
     assert len(action) == 50
