@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from iher_robot.learning.config import ExplorationConfig
-from iher_robot.learning.contact import ContactPolicy, Play
+from iher_robot.learning.play import ContactPolicy, Play
 from iher_robot.learning.policy import explore
 
 

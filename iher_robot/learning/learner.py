@@ -9,7 +9,8 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.contact import BLOCK, ContactLearner, ContactModel
+from iher_robot.learning.contact import BLOCK, ContactLearner
+from iher_robot.learning.contact_model import ContactModel
 from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode

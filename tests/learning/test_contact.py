@@ -9,14 +9,10 @@ import pytest
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.contact import (
-    TOUCH_WINDOW,
-    ContactLearner,
-    ContactPolicy,
-    EffectorGoals,
-    gap,
-)
+from iher_robot.learning.contact import TOUCH_WINDOW, ContactLearner
+from iher_robot.learning.contact_model import EffectorGoals, gap
 from iher_robot.learning.episode import Episode
+from iher_robot.learning.play import ContactPolicy
 from iher_robot.learning.replay import EpisodeReplay
 from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals, observe, rollout
 from tests.learning.quick_learner import new, quick, real

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from iher_robot.learning.config import ContactConfig, ExplorationConfig
-from iher_robot.learning.contact import LEG_TICKS, ContactPolicy
 from iher_robot.learning.explorer import Explorer
+from iher_robot.learning.play import LEG_TICKS, ContactPolicy
 from iher_robot.learning.policy import explore
 from tests.learning.point_mass import MARK, PointMassGoals, observe
 from tests.learning.stand_ins import NO_NOISE, generator, linear_policy
