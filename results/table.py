@@ -24,12 +24,14 @@ def minutes_to(rate: float, run: dict[str, Any]) -> float:
     return next((minutes for minutes, success in points if success >= rate), math.inf)
 
 
+def shown(minutes: float) -> str:
+    """Two digits that count."""
+    return "never" if math.isinf(minutes) else f"{minutes:.{1 if minutes >= 1.0 else 2}f}"
+
+
 def cell(values: list[float]) -> str:
     """Median, and each seed's."""
-    shown = ["never" if math.isinf(value) else f"{value:.1f}" for value in values]
-    median = statistics.median(values)
-    middle = "never" if math.isinf(median) else f"{median:.1f}"
-    return f"**{middle}** ({', '.join(shown)})"
+    return f"**{shown(statistics.median(values))}** ({', '.join(map(shown, values))})"
 
 
 def main() -> None:
