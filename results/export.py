@@ -42,14 +42,14 @@ def main() -> None:
     parser.add_argument("--official", type=int, default=0, metavar="EPISODES")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    target = Path(__file__).parent / options.name
-    target.mkdir(parents=True, exist_ok=True)
     documents = [(path, read_run(path)) for path in options.runs]
     config = documents[0][1]["config"]
     if len({document["config"]["seed"] for _, document in documents}) < len(documents):
         parser.error("two runs have the same seed")
     if any(document["config"] | {"seed": 0} != config | {"seed": 0} for _, document in documents):
         parser.error("the runs differ by more than their seeds")
+    target = Path(__file__).parent / options.name
+    target.mkdir(parents=True, exist_ok=True)
     curves = {}
     for path, document in documents:
         if options.official:

@@ -41,6 +41,8 @@ def main() -> None:
     for argument in sys.argv[1:]:
         folder = Path(argument)
         runs = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+        if not runs:
+            sys.exit(f"{folder} holds no results, expected one JSON file for each run")
         ends = [success_points(run["epochs"])[-1] for run in runs]
         wall = statistics.median(run["wall_seconds"] for run in runs) / 60.0
         print(

@@ -123,9 +123,8 @@ class ReplayConfig(Section):
     applied and the requested one, which all come to the same where a request was cut down. A cached
     intrinsic reward is that of the applied one."""
     tolerance: float = Field(1.0, gt=0.0, le=1.0)
-    """Share of the task's own tolerance within which a goal counts as reached while learning: a
-    policy that learned to stop at the very edge misses it half of the time. Success is judged by
-    the task's own."""
+    """Share of the task's own tolerance within which a goal counts as reached while learning, so
+    that a policy does not learn to stop at the very edge. Success is judged by the task's own."""
     normalizer_clip: float = Field(5.0, gt=0.0)
     """Normalised inputs of the policy are clipped to this many standard deviations."""
     normalizer_std_floor: float = Field(0.01, gt=0.0)

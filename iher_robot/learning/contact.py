@@ -18,11 +18,9 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.meter import Meter
 from iher_robot.learning.play import ContactPolicy
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.replay import BLOCK, EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
 
-BLOCK = 40
-"""Updates whose batches are drawn together."""
 TOUCH_WINDOW = 20
 """Newest episodes that decide whether the object is touched often enough."""
 

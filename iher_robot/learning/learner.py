@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.contact import BLOCK, ContactLearner
+from iher_robot.learning.contact import ContactLearner
 from iher_robot.learning.contact_model import ContactModel
 from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.dynamics import DynamicsEnsemble
@@ -20,7 +20,7 @@ from iher_robot.learning.imaginary_source import ImaginarySource, Progress
 from iher_robot.learning.intrinsic import refresh_intrinsic
 from iher_robot.learning.meter import Meter
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.replay import BLOCK, EpisodeReplay, Transitions
 from iher_robot.learning.symmetry import Symmetry, augment
 
 DYNAMICS_CHUNK = 25

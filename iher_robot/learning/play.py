@@ -13,6 +13,10 @@ LEG_TICKS = 15
 """Ticks after which a point around the object that was not reached is given up."""
 
 
+def _chance(share: float, generator: torch.Generator) -> bool:
+    return bool(torch.rand((), generator=generator) < share)
+
+
 class ContactPolicy:
     """The second policy as it explores.
 
@@ -38,7 +42,7 @@ class ContactPolicy:
             observation: Where it begins. ``(1, obs_dim)``
             generator: Draws whether it has.
         """
-        if self._rests and torch.rand((), generator=generator) >= self._config.episodes:
+        if self._rests and not _chance(self._config.episodes, generator):
             return None
         return Play(self, self._model, self._config, observation, generator)
 
@@ -76,11 +80,8 @@ class Play:
         self._over = False
         self._around: torch.Tensor | None = None
         self._waits = 0
-        self._begin_leg(start, generator, around=self._draws_around(generator))
-        self._waits = 0
-
-    def _draws_around(self, generator: torch.Generator) -> bool:
-        return bool(torch.rand((), generator=generator) < self._config.around_share)
+        self._begin_leg(start, generator, around=_chance(config.around_share, generator))
+        self._waits = 0  # the first leg begins with nothing to let go of
 
     def _begin_leg(
         self, observation: torch.Tensor, generator: torch.Generator, *, around: bool
@@ -109,7 +110,7 @@ class Play:
             ``(1, action_dim)``
         """
         self._follow(observation, generator)
-        if self._over or torch.rand((), generator=generator) >= self._config.share:
+        if self._over or not _chance(self._config.share, generator):
             return None
         action = self._policy.act(observation, self._place(observation))
         return torch.zeros_like(action) if self._waits else action
@@ -145,9 +146,7 @@ class Play:
             return
         least = self._config.again_m or self._config.touched_m
         if touched(self._model, self._before, observation, self._config.radius_m, least):
-            self._over = self._config.again_m is None or self._hands_over(generator)
+            self._over = self._config.again_m is None or _chance(self._config.hand_over, generator)
             if not self._over:
-                self._begin_leg(observation, generator, around=self._draws_around(generator))
-
-    def _hands_over(self, generator: torch.Generator) -> bool:
-        return bool(torch.rand((), generator=generator) < self._config.hand_over)
+                around = _chance(self._config.around_share, generator)
+                self._begin_leg(observation, generator, around=around)

@@ -8,6 +8,9 @@ import torch
 
 from iher_robot.learning.goal_model import GoalModel, Shapes
 
+BLOCK = 40
+"""Updates whose batches are drawn together: it costs little more than to draw one."""
+
 
 @dataclass(frozen=True)
 class Transitions:
