@@ -6,9 +6,9 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock, MonotonicClock, SimulatedClock
 from drivers.command import (
     Acceptance,
     Command,
@@ -80,12 +80,19 @@ class RobotDriver(RobotHooks):
     a lock, and only where the lifecycle allows.
     """
 
-    def __init__(self, spec: RobotSpec, clock: Clock | None = None) -> None:
+    exclusive: ClassVar[bool] = False
+    """Whether two drivers of this kind with the same options move the same robot."""
+
+    def __init__(
+        self, spec: RobotSpec, clock: Clock | None = None, safety: SafetyFilter | None = None
+    ) -> None:
         """Describe the robot, without a connection.
 
         Args:
             spec: Its description.
             clock: The robot's clock; the machine's own by default.
+            safety: Judges and limits commands; a `SafetyFilter` of the spec by default. Only a
+                driver whose robot's side has a filter of its own brings another.
 
         Raises:
             InvalidSpec: If it takes joint commands and its kinematic model cannot be used.
@@ -93,11 +100,12 @@ class RobotDriver(RobotHooks):
         self._spec = spec
         self._clock: Clock = MonotonicClock() if clock is None else clock
         self._hooks = threading.RLock()  # held while a hook runs, up to a whole tick
-        self._safety = SafetyFilter(spec, self._clock)
+        self._safety = SafetyFilter(spec, self._clock) if safety is None else safety
         self._gate = self._safety.gate
         self._open_now = False
         self._hands_clear = True
         self._speed_scale = 1.0
+        self._speed_limit = 1.0
 
     # What may be asked at any time
 
@@ -134,7 +142,33 @@ class RobotDriver(RobotHooks):
     @property
     def speed_scale(self) -> float:
         """Share of full speed that is allowed now. It scales whole motions, never one joint."""
-        return self._speed_scale
+        return min(self._speed_scale, self._speed_limit)
+
+    @property
+    def paces_itself(self) -> bool:
+        """Whether `advance` takes as long as a tick; a simulation is as fast as it can."""
+        return not isinstance(self._clock, SimulatedClock)
+
+    def limit_speed(self, share: float) -> None:
+        """Allow at most a share of full speed from now on, until another is set.
+
+        Args:
+            share: Of every speed; 1 takes the limit away.
+
+        Raises:
+            InvalidRequest: If it is not above 0 and up to 1.
+            LifecycleError: If the robot is armed: its speed would jump.
+        """
+        if not 0.0 < share <= 1.0:
+            raise InvalidRequest(
+                f"speed of {self.spec.name} is limited to {share}, allowed: above 0 and up to 1"
+            )
+        with self._hooks:
+            if self._gate.armed:
+                raise LifecycleError(
+                    f"limit_speed on {self.spec.name}, which is armed; disarm it first"
+                )
+            self._speed_limit = float(share)
 
     # Lifecycle
 
@@ -165,6 +199,7 @@ class RobotDriver(RobotHooks):
         """
         with self._hooks:
             self._require_motion("arm")
+            self._prepare_to_arm()
             self._gate.arm()
 
     def disarm(self) -> None:
@@ -275,7 +310,7 @@ class RobotDriver(RobotHooks):
             state = self._read()
             judgement = self._safety.judge(command, state)
             if judgement.accepted:
-                self._apply(*self._safety.limit(command, state, self._speed_scale))
+                self._apply(*self._safety.limit(command, state, self.speed_scale))
             return judgement
 
     def advance(self) -> None:
@@ -333,6 +368,7 @@ class RobotDriver(RobotHooks):
         with self._hooks:
             if self._hands_clear:
                 raise LifecycleError(f"{self.spec.name} asked for no human; nothing to confirm")
+            self._hands_confirmed()
             self._hands_clear = True
             self._speed_scale = self.spec.limits.reduced_speed_scale
 

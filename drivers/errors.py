@@ -40,3 +40,11 @@ class FaultLatched(DriverError, RuntimeError):
 
 class StaleState(DriverError, RuntimeError):
     """The newest measurement is older than the caller accepts."""
+
+
+class LinkLost(DriverError, ConnectionError):
+    """A remote robot does not answer in time, or its host was started anew."""
+
+
+class LeaseRefused(DriverError, RuntimeError):
+    """Somebody else holds the right to command a remote robot, or took it over."""

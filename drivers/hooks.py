@@ -49,3 +49,9 @@ class RobotHooks(ABC):
 
     def _interrupt(self) -> None:  # noqa: B027 - optional: many hooks never wait
         """Make a hook that waits in another thread return early. Called without a lock."""
+
+    def _prepare_to_arm(self) -> None:  # noqa: B027 - optional: many robots are always ready
+        """Make the robot ready for commands, before the gate opens; it stays held."""
+
+    def _hands_confirmed(self) -> None:  # noqa: B027 - optional: few robots ask
+        """Take note that a person confirmed that hands are clear."""
