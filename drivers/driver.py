@@ -149,6 +149,11 @@ class RobotDriver(RobotHooks):
         """Whether `advance` takes as long as a tick; a simulation is as fast as it can."""
         return not isinstance(self._clock, SimulatedClock)
 
+    @property
+    def now_ns(self) -> int:
+        """Time on the robot's clock, against which the stamps of its states are old."""
+        return self._clock.now_ns()
+
     def limit_speed(self, share: float) -> None:
         """Allow at most a share of full speed from now on, until another is set.
 
@@ -288,6 +293,20 @@ class RobotDriver(RobotHooks):
             for name, pose in state.objects.items():
                 limit_s = self.spec.objects[name].max_age_s
                 self._require_fresh(f"object {name!r}", pose.stamp_ns, now_ns, limit_s)
+            self._gate.remember(state)
+            return state
+
+    def measure(self) -> RobotState:
+        """Return the newest measurement, however old it and its objects are.
+
+        For a host, which passes the ages on; everybody else calls `read`.
+
+        Raises:
+            LifecycleError: If the driver is not open.
+        """
+        with self._hooks:
+            self._require_open("measure")
+            state = self._read()
             self._gate.remember(state)
             return state
 

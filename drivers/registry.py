@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import entry_points
 from typing import Protocol, cast
 
@@ -15,7 +17,10 @@ GROUP = "iher_robot.drivers"
 """Entry-point group in which a package names its driver factories."""
 
 # Named in code as well as in the package's metadata, so that an uninstalled checkout has it.
-_BUILT_IN = {"mujoco": "drivers.mujoco:make_fetch"}
+_BUILT_IN = {"mujoco": "drivers.mujoco:make_fetch", "zenoh": "drivers.remote:make_remote"}
+
+HOLDERS = "iher_robot.holders"
+"""Entry-point group of functions that hold a robot from outside of the process that drives it."""
 
 
 class DriverFactory(Protocol):
@@ -40,6 +45,23 @@ def driver_targets() -> dict[str, str]:
                 f"{entry.value}; uninstall one of the packages"
             )
     return targets
+
+
+def make_holder(name: str, **options: object) -> Callable[[], None] | None:
+    """Make what holds the robot of a driver from another process, when the driver's is frozen.
+
+    Args:
+        name: Name of the driver; a package names its function under the same name.
+        options: What the driver takes.
+
+    Returns:
+        A function that holds the robot through a connection of its own; None if the driver's
+        package brings none, and the robot's own hold on silence has to do.
+    """
+    for entry in entry_points(group=HOLDERS):
+        if entry.name == name:
+            return partial(entry.load(), **options)
+    return None
 
 
 def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:

@@ -15,6 +15,7 @@ import typer
 from iher_robot import DriverError, TaskError, UserError, __version__
 from iher_robot.cli_evaluate import evaluate
 from iher_robot.cli_interrupts import Stopped
+from iher_robot.cli_serve import serve
 from iher_robot.cli_train import train
 from iher_robot.cli_view import view
 
@@ -52,7 +53,7 @@ def options(
     """Take the options that stand before the command."""
 
 
-for _command in (train, evaluate, view):
+for _command in (train, evaluate, view, serve):
     app.command()(_command)
 
 

@@ -8,7 +8,12 @@ from typing import Annotated
 import typer
 
 from iher_robot.cli_interrupts import told_when_interrupted
-from iher_robot.cli_options import AcceptInterfaceOption, DriverOption, RobotOption
+from iher_robot.cli_options import (
+    AcceptInterfaceOption,
+    ConnectOption,
+    DriverOption,
+    RobotOption,
+)
 
 
 def evaluate(
@@ -21,8 +26,9 @@ def evaluate(
         Path | None, typer.Option(help="Write an mp4 of the episodes; needs the extra 'video'.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of starts and goals.")] = 0,
-    driver: DriverOption = "mujoco",
+    driver: DriverOption = None,
     robot: RobotOption = None,
+    connect: ConnectOption = None,
     task: Annotated[
         str | None,
         typer.Option(help="Refuse a policy for another task than this.", show_default=False),
@@ -40,6 +46,7 @@ def evaluate(
             official=official,
             driver=driver,
             robot=robot,
+            connect=connect or (),
             task=task,
             video=video,
             accept_interface=accept_interface,

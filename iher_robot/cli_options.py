@@ -6,13 +6,30 @@ from typing import Annotated
 
 import typer
 
-DriverOption = Annotated[str, typer.Option(help="What moves: a robot driver's name.")]
+DriverOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What moves: a robot driver's name, by default what the robot's file names or mujoco.",
+        show_default=False,
+    ),
+]
 
 RobotOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE",
         help="Options of the driver: a robot's name (fetch by default) or a YAML file.",
+        show_default=False,
+    ),
+]
+
+ConnectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Where a robot of driver zenoh is reached, such as tcp/10.0.0.7:7447; may be "
+        "repeated.",
         show_default=False,
     ),
 ]

@@ -9,7 +9,7 @@ import typer
 
 from iher_robot import UserError
 from iher_robot.cli_interrupts import told_when_interrupted
-from iher_robot.cli_options import DriverOption, RobotOption
+from iher_robot.cli_options import ConnectOption, DriverOption, RobotOption
 
 _BESIDE_RESUME = {"resume", "display", "video"}
 
@@ -19,8 +19,9 @@ def train(
     task: Annotated[
         str | None, typer.Option(help="reach, push, pick-and-place or slide.", show_default=False)
     ] = None,
-    driver: DriverOption = "mujoco",
+    driver: DriverOption = None,
     robot: RobotOption = None,
+    connect: ConnectOption = None,
     budget_minutes: Annotated[
         float | None,
         typer.Option(help="Robot minutes to spend, by default the preset's.", show_default=False),
@@ -75,6 +76,7 @@ def train(
             task=task,
             driver=driver,
             robot=robot,
+            connect=connect or (),
             preset=preset,
             algo=algo,
             budget_minutes=budget_minutes,

@@ -20,7 +20,7 @@ def view(
         Path | None,
         typer.Option(help="What acts; without one the robot holds still.", show_default=False),
     ] = None,
-    driver: DriverOption = "mujoco",
+    driver: DriverOption = None,
     robot: RobotOption = None,
     seed: Annotated[int, typer.Option(help="Seed of starts and goals.")] = 0,
     episodes: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import IntEnum
 
 import numpy as np
@@ -49,12 +50,14 @@ class Recorder:
         ticks: Control ticks charged so far; the one in flight counts, since the robot may have
             moved in it.
         success: Whether the last step met the goal.
+        aborted: Why the episode could not go on, empty if it could.
         told_source: Source that the policy is told.
     """
 
     def __init__(self) -> None:
         self.ticks = 0
         self.success = False
+        self.aborted = ""
         self.told_source = REAL
         self._start: Observation | None = None
         self._steps: list[tuple[Array, Array, Array, bool]] = []
@@ -77,7 +80,11 @@ class Recorder:
             EpisodeAborted: The robot cannot go on; the tick is charged nevertheless.
         """
         self.ticks += 1
-        observation, _, _, _, info = env.step(action)
+        try:
+            observation, _, _, _, info = env.step(action)
+        except EpisodeAborted as error:
+            self.ticks += error.ticks - 1
+            raise
         self.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
         # One append: an interrupt finds the whole tick in the record, or nothing of it.
         valid = bool(info["tick_valid"])
@@ -150,7 +157,8 @@ def run_episode(
             if explorer is not None:
                 action = explorer.act(_row(observation["observation"]), action, generator)
             observation = recorder.step(env, action[0].numpy())
-    except EpisodeAborted:
+    except EpisodeAborted as error:
         recorder.success = False  # what was recorded until then is kept, and learned from
+        recorder.aborted = str(error)
     finally:
-        env.hold()
+        env.hold(after=sys.exception())

@@ -45,7 +45,9 @@ class EvaluationConfig(_Section):
     every_epochs: int = Field(default=1, ge=1)
     """Epochs from one evaluation to the next."""
     episodes: int = Field(default=40, ge=1)
-    """Episodes of one evaluation."""
+    """Episodes of one evaluation in simulation."""
+    robot_episodes: int = Field(default=10, ge=1)
+    """Episodes of one evaluation on a robot that has no simulator of its own."""
     final_episodes: int = Field(default=100, ge=0)
     """Fresh episodes for the policy that a run ends with, in simulation; 0 for none."""
 
@@ -76,6 +78,9 @@ class RunConfig(_Section):
     """Robot minutes: control ticks times the control period; at most about two years."""
     until_success: Annotated[float | None, OR_OFF] = Field(default=1.0, gt=0, le=1)
     """Stop early at this success rate; ``off`` spends the whole budget."""
+    patience_minutes: float = Field(default=10.0, ge=0, allow_inf_nan=False)
+    """Wall-clock minutes to wait for a robot that is lost, taken or stopped; then the run ends and
+    can be resumed."""
     evaluation: EvaluationConfig = EvaluationConfig()
     learner: LearnerConfig = LearnerConfig()
 
@@ -95,6 +100,7 @@ def load_config(
     overrides: Sequence[str],
     options: Mapping[str, object] = MappingProxyType({}),
     robot: str | None = None,
+    connect: Sequence[str] = (),
 ) -> RunConfig:
     """Resolve the settings of a new run; later layers win.
 
@@ -105,8 +111,9 @@ def load_config(
         overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
         options: Settings that have an option of their own, which errors name: budget_minutes,
             seed, device, until_success, driver.
-        robot: Name of a shipped robot, or the path of a YAML file; the driver's default where
-            None.
+        robot: Name of a shipped robot or of one on the network, or the path of a YAML file; the
+            driver's default where None.
+        connect: Where to reach a robot on the network; what its file says where empty.
 
     Returns:
         Typed defaults, then the preset's file for the task, the algorithm's, the options and the
@@ -126,9 +133,16 @@ def load_config(
             if key in layer.values:
                 raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
     chosen = Layer("command line", {"task": task, "preset": preset, "algo": algo})
-    # Any layer may name the driver, and the driver says which robot is the default.
-    chosen_robot = choose_robot(_resolve([*layers, chosen]).driver, robot)
-    settings = {"robot": chosen_robot.name, "robot_options": chosen_robot.options}
+    # Any layer may name the driver, and the driver says which robot is the default. Where none
+    # does, the robot's file may.
+    resolved = _resolve([*layers, chosen])
+    named = any("driver" in layer.values for layer in layers)
+    chosen_robot = choose_robot(resolved.driver if named else None, robot, connect)
+    settings = {
+        "driver": chosen_robot.driver,
+        "robot": chosen_robot.name,
+        "robot_options": chosen_robot.options,
+    }
     return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
 
 

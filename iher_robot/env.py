@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from drivers import (
     InvalidCommand,
+    LeaseRefused,
+    LinkLost,
     Refusal,
     Renderable,
     ResetOutcome,
@@ -25,7 +27,7 @@ from drivers import (
 )
 from iher_robot.controller import Controller, make_controller
 from iher_robot.errors import NoSolution, UserError
-from iher_robot.tick import Tick, judge_tick
+from iher_robot.tick import InvalidTicks, Tick, judge_tick
 from tasks import GoalTask, make_task
 
 Observation = dict[str, Any]  # what gymnasium types a Dict space as
@@ -33,6 +35,7 @@ Info = dict[str, Any]
 
 _PICTURE_SIZE = (640, 480)
 _GATE_CLOSED = (Refusal.DISARMED, Refusal.LATCHED)
+_CONNECTION_ENDED = (LinkLost, LeaseRefused)
 
 
 class ResetFailed(UserError):
@@ -40,7 +43,19 @@ class ResetFailed(UserError):
 
 
 class EpisodeAborted(RuntimeError):
-    """An episode could not go on; the robot is held and disarmed. `reset` starts the next."""
+    """An episode could not go on; the robot is held and disarmed. `reset` starts the next.
+
+    Attributes:
+        ticks: Ticks of the robot that the last step cost, at least 1.
+    """
+
+    def __init__(self, message: str = "", ticks: int = 1) -> None:
+        super().__init__(message)
+        self.ticks = ticks
+
+
+class LinkTooSlow(EpisodeAborted):
+    """Too many ticks were invalid, most of them because they passed unseen or came late."""
 
 
 class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
@@ -62,8 +77,9 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
     - ``refusal``: Why the command was refused, ``"no_solution"`` where the controller found
       none, or None.
 
-    A stop from outside, or more invalid ticks than allowed, ends the episode with
-    `EpisodeAborted`.
+    A stop from outside, a lost link, or more invalid ticks than allowed, ends the episode with
+    `EpisodeAborted`. A robot whose link or lease is lost is disconnected; the next `reset`
+    connects anew.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
@@ -112,13 +128,18 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self.episode_ticks = self.task.episode_ticks
         self._goal = np.zeros(self.task.goal_dim)
         self._state: RobotState | None = None
-        self._invalid_ticks = 0
+        self._invalid = InvalidTicks(max_invalid_ticks)
         self._held_because = ""
 
     @property
     def robot_spec(self) -> RobotSpec:
         """Description of the robot. Gymnasium keeps a specification of its own in `spec`."""
         return self.driver.spec
+
+    @property
+    def state(self) -> RobotState | None:
+        """What the last reset or step ended with; None while held."""
+        return self._state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -135,12 +156,17 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         Raises:
             ResetFailed: If the robot cannot get there, or needs a person and has none.
             FaultLatched: If the robot is stopped.
+            LinkLost: If a remote robot does not answer; it is disconnected.
+            LeaseRefused: If somebody else has it; it is disconnected.
         """
         try:
             super().reset(seed=seed, options=options)
             return self._begin_episode(), {}
-        except BaseException:
-            self.hold()
+        except _CONNECTION_ENDED as error:
+            self._after(error, self.close)
+            raise
+        except BaseException as error:
+            self.hold(after=error)
             raise
 
     def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, Info]:
@@ -156,8 +182,9 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         Raises:
             ValueError: If the action has the wrong shape.
             InvalidCommand: If the action is not finite.
-            EpisodeAborted: If the robot was stopped or disarmed, or too many ticks were
+            EpisodeAborted: If the robot was stopped, disarmed or lost, or too many ticks were
                 invalid. The tick that showed it counts as begun.
+            LinkTooSlow: If most of these ticks passed unseen or came late.
         """
         try:
             after, tick = self._run_tick(action)
@@ -167,8 +194,12 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             reward = float(self.task.goal_model.compute_reward(achieved, self._goal))
             success = float(self.task.is_success(achieved, self._goal))
             return observation, reward, False, False, {"is_success": success} | tick.info()
-        except BaseException:  # from the task or the caller, too: nobody would send the next tick
-            self.hold()
+        except _CONNECTION_ENDED as error:
+            aborted = EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {error}")
+            self._after(aborted, self.close)
+            raise aborted from error
+        except BaseException as error:  # the task's or the caller's, too: no next tick would come
+            self.hold(after=error)
             raise
 
     def compute_reward(
@@ -213,15 +244,29 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             reached = self.task.is_success(achieved, self._goal)
         return self.driver.render(*_PICTURE_SIZE, goal=self._goal, reached=reached)
 
-    def hold(self) -> None:
-        """Hold and disarm, until the next `reset`."""
+    def hold(self, after: BaseException | None = None) -> None:
+        """Hold and disarm, until the next `reset`.
+
+        Args:
+            after: The error that is being raised, if there is one; where the robot cannot be
+                held either, it gets a note and stays the one that is raised.
+        """
         self._state = None
-        self.driver.disarm()
+        if after is None:
+            self.driver.disarm()
+        else:
+            self._after(after, self.driver.disarm)
 
     def close(self) -> None:
         """Hold, disarm and disconnect."""
         self._state = None
         self.driver.close()
+
+    def _after(self, error: BaseException, cleanup: Callable[[], None]) -> None:
+        try:
+            cleanup()
+        except Exception as failure:  # noqa: BLE001 - the error that came first is the one raised
+            error.add_note(f"{self.robot_spec.name} could not be held either: {failure!r}")
 
     def _require_command_kind(self) -> None:
         if self.controller.kind not in self.robot_spec.command_kinds:
@@ -235,7 +280,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             self.driver.open()
         self.hold()
         self._bring_to_start()
-        self._invalid_ticks = 0
+        self._invalid = InvalidTicks(self._max_invalid_ticks)
         self._held_because = ""
         self.driver.arm()
         self._state = self.driver.read()
@@ -297,23 +342,32 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         }
 
     def _abort_if_lost(self, tick: Tick) -> None:
-        self._invalid_ticks += not tick.valid
+        self._invalid.add(tick)
+        kind = EpisodeAborted
         if tick.acceptance is not None and tick.acceptance.refusal in _GATE_CLOSED:
             reason = tick.acceptance.message
         elif not self.driver.is_armed:
             reason = "the robot was disarmed during the tick"
-        elif self._invalid_ticks > self._max_invalid_ticks:
-            reason = f"{self._invalid_ticks} invalid ticks, allowed: {self._max_invalid_ticks}"
+        elif self._invalid.too_many:
+            reason = f"{self._invalid.count} invalid ticks, allowed: {self._invalid.allowed}"
             reason += "; " * bool(self._held_because) + self._held_because
+            if self._invalid.mostly_late:
+                kind = LinkTooSlow
+                reason += (
+                    f"; in {self._invalid.late} of these {self._invalid.count} the command came "
+                    "late or ticks passed unseen: the link is too slow, measure it with: "
+                    "iher-robot doctor"
+                )
         else:
             return
-        raise EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {reason}")
+        raise kind(f"episode on {self.robot_spec.name} aborted: {reason}", tick.elapsed)
 
 
 def make_env(
     task_name: str,
     driver_name: str = "mujoco",
     render_mode: str | None = None,
+    ask_human: Callable[[str], None] | None = None,
     **driver_options: Any,
 ) -> GoalRobotEnv:
     """Make the environment of a task on a driver.
@@ -322,6 +376,7 @@ def make_env(
         task_name: Name of the task.
         driver_name: Name of the driver.
         render_mode: ``"rgb_array"`` or None.
+        ask_human: As for `GoalRobotEnv`.
         driver_options: For the driver; the scene is the task's unless it is given.
 
     Returns:
@@ -333,4 +388,4 @@ def make_env(
     """
     task = make_task(task_name)
     driver = make_driver(driver_name, **({"scene": task.scene} | driver_options))
-    return GoalRobotEnv(driver, task, render_mode=render_mode)
+    return GoalRobotEnv(driver, task, render_mode=render_mode, ask_human=ask_human)

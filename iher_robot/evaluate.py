@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from contextlib import ExitStack, closing, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,18 @@ AnyEnv = gym.Env[Any, Any]
 _OFFICIAL_ROBOT = (DEFAULT_DRIVER, "fetch-mocap")
 
 
+def rate_with_interval(successes: int, episodes: int) -> str:
+    """Write a success rate with its 95 % interval (Wilson).
+
+    Args:
+        successes: Episodes that succeeded.
+        episodes: Episodes run, at least 1.
+    """
+    interval = binomtest(successes, episodes).proportion_ci(method="wilson")
+    share = f"{successes / episodes:.0%}"
+    return f"{share} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+
+
 @dataclass(frozen=True)
 class EvaluationResult:
     """What a policy did.
@@ -62,8 +75,7 @@ class EvaluationResult:
     @property
     def rate(self) -> str:
         """The success rate with its 95 % interval (Wilson)."""
-        interval = binomtest(self.successes, self.episodes).proportion_ci(method="wilson")
-        return f"{self.success_rate:.0%} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+        return rate_with_interval(self.successes, self.episodes)
 
     def summary(self) -> str:
         """The result in a few lines."""
@@ -85,8 +97,9 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     official: bool = False,
-    driver: str = DEFAULT_DRIVER,
+    driver: str | None = None,
     robot: str | None = None,
+    connect: Sequence[str] = (),
     task: str | None = None,
     video: Path | None = None,
     accept_interface: bool = False,
@@ -98,8 +111,9 @@ def evaluate(
         episodes: How many episodes.
         seed: Decides starts and goals, apart from those of any training run.
         official: Run in gymnasium-robotics' own environment instead of on a driver.
-        driver: Name of the robot driver.
+        driver: Name of the robot driver; by default what the robot's file names, or ``mujoco``.
         robot: Name of a robot, or the path of a YAML file; the driver's default where None.
+        connect: Where to reach a robot on the network; what its file says where empty.
         task: The task that the policy is expected to be for; any where None.
         video: File to film the first episodes to.
         accept_interface: Run a policy that was trained for another interface all the same, on
@@ -115,8 +129,11 @@ def evaluate(
         raise UserError(f"episodes is {episodes}, allowed: 1 or more")
     if seed < 0:
         raise UserError(f"seed is {seed}, allowed: 0 or more")
-    if official and (driver != DEFAULT_DRIVER or robot is not None):
+    elsewhere = driver not in (None, DEFAULT_DRIVER) or connect
+    if official and (elsewhere or robot is not None):
         named = f"driver is {driver!r}" if robot is None else f"robot is {robot!r}"
+        if connect:
+            named = f"--connect is {connect[0]!r}"
         raise UserError(
             f"{named}, but the official environment is gymnasium-robotics' own simulation; leave "
             "out --driver and --robot, or --official"
@@ -125,7 +142,7 @@ def evaluate(
     if official:
         return _evaluate_officially(actor, episodes=episodes, seed=seed, video=video)
     return evaluate_on(
-        choose_robot(driver, robot),
+        choose_robot(driver, robot, connect),
         actor,
         episodes=episodes,
         seed=seed,

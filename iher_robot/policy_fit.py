@@ -8,7 +8,8 @@ from pathlib import Path
 
 import torch
 
-from drivers.canonical import Json, differences
+from drivers import RobotSpec
+from drivers.canonical import Json, differences, digest
 from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import REAL
@@ -90,7 +91,7 @@ def check_fit(
             f"robot takes {env.action_space.shape}; train it again"
         )
     if file.body_digest != spec.body_digest:
-        changed_names = _changed(file.spec, spec.body())
+        changed_names = _changed(_saved_body(file), spec.body())
         found.append(f"the policy was trained on another body, it differs in {changed_names}")
     if file.controller != dict(env.controller.settings):
         changed_names = _changed(file.controller, env.controller.settings)
@@ -98,6 +99,32 @@ def check_fit(
             f"the policy was trained with another controller, it differs in {changed_names}"
         )
     return tuple(found)
+
+
+def body_differences(file: PolicyFile, spec: RobotSpec) -> list[str]:
+    """Name what differs between a robot's body and the one that a policy was trained on.
+
+    Args:
+        file: The policy.
+        spec: The robot.
+
+    Returns:
+        Sentences such as ``"gains.arm_kp: 30000.0, not 100000.0"``; empty if nothing differs.
+    """
+    if file.body_digest == spec.body_digest:
+        return []
+    return _differences(_saved_body(file), spec.body(), spec.body())
+
+
+def _saved_body(file: PolicyFile) -> dict[str, Json]:
+    """Return the body that a policy saved, in the form of `RobotSpec.body`."""
+    limits = file.spec.get("limits")
+    joints = limits.get("joints") if isinstance(limits, dict) else None
+    model = file.spec.get("kinematic_model")
+    return file.spec | {
+        "joint_names": list(joints) if isinstance(joints, dict) else None,
+        "kinematic_model": digest(model) if isinstance(model, str) else None,
+    }
 
 
 def _policy(file: PolicyFile, path: Path, task: GoalTask) -> Policy:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import Acceptance, RobotState
+from drivers import Acceptance, Refusal, RobotState
 from iher_robot.controller import Controller
 
 CONTROLLER = "controller"
@@ -29,6 +29,8 @@ class Tick:
         elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
         clipped: Why the robot clipped the command, or ``"controller"`` where the controller
             could not ask it for all of the action.
+        late: Whether it shows a slow link: ticks passed unseen, the command expired, or it was
+            accepted and yet not applied in time.
         acceptance: What the robot said to the command, None if there was no command.
     """
 
@@ -36,6 +38,7 @@ class Tick:
     valid: bool
     elapsed: int
     clipped: tuple[str, ...]
+    late: bool
     acceptance: Acceptance | None
 
     def info(self) -> dict[str, object]:
@@ -69,10 +72,47 @@ def judge_tick(
     applied = after.applied
     action = np.asarray(requested, dtype=np.float32)
     if applied is None or applied.tick != after.seq or elapsed < 1:
-        return Tick(np.zeros_like(action), False, max(1, elapsed), (), acceptance)
+        late = elapsed > 1 or _came_late(acceptance)
+        return Tick(np.zeros_like(action), False, max(1, elapsed), (), late, acceptance)
     asked, action = action, controller.applied_action(action, applied, before)
     clipped = applied.clipped
     if not clipped and (action != asked).any():
         clipped = (CONTROLLER,)
     valid = elapsed == 1 and applied.command.answers == before.seq
-    return Tick(action, valid, elapsed, clipped, acceptance)
+    late = elapsed > 1 or (not valid and _came_late(acceptance))
+    return Tick(action, valid, elapsed, clipped, late, acceptance)
+
+
+def _came_late(acceptance: Acceptance | None) -> bool:
+    """Whether a command that was not applied had been sent in order."""
+    if acceptance is None:
+        return False
+    return acceptance.accepted or acceptance.refusal is Refusal.EXPIRED
+
+
+class InvalidTicks:
+    """Counts the ticks of an episode that may not be learned from.
+
+    Args:
+        allowed: How many an episode may have.
+    """
+
+    def __init__(self, allowed: int) -> None:
+        self.allowed = allowed
+        self.count = 0
+        self.late = 0
+
+    def add(self, tick: Tick) -> None:
+        """Count a tick, if it is invalid."""
+        self.count += not tick.valid
+        self.late += tick.late
+
+    @property
+    def too_many(self) -> bool:
+        """Whether there are more than are allowed."""
+        return self.count > self.allowed
+
+    @property
+    def mostly_late(self) -> bool:
+        """Whether most of them show a slow link."""
+        return 2 * self.late > self.count

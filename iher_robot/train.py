@@ -13,7 +13,7 @@ from pathlib import Path
 from torch.utils.tensorboard import SummaryWriter
 
 from iher_robot.callable_module import make_module_callable
-from iher_robot.chosen_robot import DEFAULT_DRIVER, ChosenRobot
+from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.config import dump_config, load_config, read_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
@@ -81,8 +81,9 @@ class TrainResult:
 def train(
     *,
     task: str,
-    driver: str = DEFAULT_DRIVER,
+    driver: str | None = None,
     robot: str | None = None,
+    connect: Sequence[str] = (),
     preset: str = "default",
     algo: str = "iher",
     budget_minutes: float | None = None,
@@ -98,8 +99,9 @@ def train(
 
     Args:
         task: Name of the task.
-        driver: Name of the robot driver.
+        driver: Name of the robot driver; by default what the robot's file names, or ``mujoco``.
         robot: Name of a robot, or the path of a YAML file; the driver's default where None.
+        connect: Where to reach a robot on the network; what its file says where empty.
         preset: Name of a preset, or the path of a YAML file.
         algo: ``iher``, or a model-free baseline.
         budget_minutes: Robot minutes to spend; the preset's where None.
@@ -119,14 +121,15 @@ def train(
     """
     task = canonical_name(task)
     options: dict[str, object] = {
-        "driver": driver,
         "seed": seed,
         "device": device,
         "until_success": until_success,
     }
+    if driver is not None:
+        options["driver"] = driver
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
-    config = load_config(task, preset, algo, overrides, options, robot)
+    config = load_config(task, preset, algo, overrides, options, robot, connect)
     if video:
         require_film(config.chosen_robot, task)
     path = out or default_run_path(task, algo, preset, config.seed)

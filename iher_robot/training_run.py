@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from drivers import Clock, MonotonicClock
 from iher_robot.checkpoint import save_checkpoint
 from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
 from iher_robot.config import dump_config
@@ -19,13 +20,13 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation import run_evaluation
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.explorer import Explorer
-from iher_robot.learning.policy import Policy
-from iher_robot.ledger import Account, Budget, Entry, Ledger
+from iher_robot.ledger import Budget, Ledger
+from iher_robot.patience import Patience
 from iher_robot.plot import plot_success
 from iher_robot.policy_file import save_policy
 from iher_robot.provenance import write_provenance
 from iher_robot.restore import restore
+from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.run_directory import RunDirectory
 from iher_robot.trained_policy import trained_policy
 from iher_robot.workcell import Workcell
@@ -47,6 +48,7 @@ class TrainingRun:
         display: Shows progress.
         writer: TensorBoard scalars.
         provenance: Where the run comes from.
+        clock: What waiting for a lost robot is measured by; the machine's own by default.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class TrainingRun:
         display: TrainingDisplay,
         writer: SummaryWriter,
         provenance: dict[str, Any],
+        clock: Clock | None = None,
     ) -> None:
         self.config = cell.config
         self.cell = cell
@@ -66,6 +69,14 @@ class TrainingRun:
         self.budget = Budget(ledger, cell.budget_ticks)
         self.store = EpisodeStore(directory.episodes_path)
         self.display = display
+        patience = Patience(
+            cell.env.driver,
+            self.config.patience_minutes,
+            directory.path,
+            display.announce,
+            MonotonicClock() if clock is None else clock,
+        )
+        self.episodes = RobotEpisodes(cell.env, self.store, patience)
         self.writer = writer
         self.provenance = provenance
         self.rows: list[Row] = []
@@ -138,9 +149,9 @@ class TrainingRun:
         while len(self.pending) < wanted and not self._spent:
             self.display.phase("collect", len(self.pending), wanted)
             ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
-            recorder = self._robot_episode(
+            recorder = self.episodes.run(
                 "motion",
-                self.budget.reserve(ticks),
+                partial(self.budget.reserve, ticks),
                 policy,
                 epoch=self.learner.epoch + 1,
                 seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
@@ -152,41 +163,11 @@ class TrainingRun:
                 self.pending.append(episode)
                 self.collected += 1
             self.display.minutes(self._minutes)
+            self._tell_of_abort(recorder)
 
-    def _robot_episode(
-        self,
-        account: Account,
-        reservation: AbstractContextManager[Entry],
-        policy: Policy,
-        *,
-        epoch: int,
-        seed: int,
-        ticks: int,
-        explorer: Explorer | None,
-    ) -> Recorder:
-        """Run an episode that is charged and kept, whatever ends it."""
-        recorder = Recorder()
-        with reservation as entry:
-            try:
-                run_episode(
-                    self.cell.env,
-                    policy,
-                    recorder,
-                    seed=seed,
-                    ticks=ticks,
-                    explorer=explorer,
-                )
-            finally:
-                episode = recorder.episode()
-                if episode is not None:
-                    self.store.append(
-                        episode,
-                        epoch=epoch,
-                        told_source=recorder.told_source,
-                        account=account,
-                    )
-                entry.settle(recorder.ticks)  # last: a failure before it leaves all charged
-        return recorder
+    def _tell_of_abort(self, recorder: Recorder) -> None:
+        if recorder.aborted and self.cell.simulator is None:  # a robot that somebody looks after
+            self.display.announce(f"{recorder.aborted} (after {recorder.ticks} ticks)")
 
     def _learn(self) -> None:
         """Learn from the epoch's episodes, evaluate, and write everything down."""
@@ -214,7 +195,7 @@ class TrainingRun:
 
     def _evaluate(self) -> Row:
         """Success rate without noise, and what the models make of the same episodes."""
-        count = self.config.evaluation.episodes
+        count = self.cell.evaluation_episodes
         # Its number follows from the epoch, so that a resumed run draws the same episodes.
         first = self.learner.epoch * count
         seeds = [episode_seed(self.config.seed, Stream.EVALUATION, first + i) for i in range(count)]
@@ -222,19 +203,15 @@ class TrainingRun:
         ticks = self.cell.env.task.episode_ticks
 
         def run_one(seed: int) -> Recorder:
-            if self.cell.simulator is None:
-                reservation = self.ledger.reserve("evaluation", ticks)
-                return self._robot_episode(
-                    "evaluation",
-                    reservation,
-                    policy,
-                    epoch=self.learner.epoch,
-                    seed=seed,
-                    ticks=ticks,
-                    explorer=None,
-                )
-            recorder = Recorder()
-            run_episode(self.cell.simulator, policy, recorder, seed=seed, ticks=ticks)
+            if self.cell.simulator is not None:
+                recorder = Recorder()
+                run_episode(self.cell.simulator, policy, recorder, seed=seed, ticks=ticks)
+                return recorder
+            reserve = partial(self.ledger.reserve, "evaluation", ticks)
+            recorder = self.episodes.run(
+                "evaluation", reserve, policy, epoch=self.learner.epoch, seed=seed, ticks=ticks
+            )
+            self._tell_of_abort(recorder)
             return recorder
 
         evaluation = run_evaluation(

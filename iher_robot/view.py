@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers import Clock, MonotonicClock
 from drivers.rendering import Viewable
-from iher_robot.chosen_robot import DEFAULT_DRIVER, choose_robot
+from iher_robot.chosen_robot import choose_robot
 from iher_robot.collect import Stream, choose_action, episode_seed
 from iher_robot.env import EpisodeAborted, GoalRobotEnv
 from iher_robot.errors import UserError
@@ -62,7 +62,7 @@ class Pace:
 def view(
     *,
     task: str | None = None,
-    driver: str = DEFAULT_DRIVER,
+    driver: str | None = None,
     robot: str | None = None,
     policy: Path | None = None,
     seed: int = 0,
@@ -74,7 +74,8 @@ def view(
 
     Args:
         task: Name of the task; the policy's where None.
-        driver: Name of the robot driver, of a simulated robot.
+        driver: Name of the robot driver, of a simulated robot; by default what the robot's file
+            names, or ``mujoco``.
         robot: Name of a robot, or the path of a YAML file; the driver's default where None.
         policy: The policy that acts; without one the robot holds still.
         seed: Decides starts and goals; those of ``evaluate`` with the same seed.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,7 +24,8 @@ class Workcell:
     Attributes:
         config: Settings of the run.
         env: The robot.
-        simulator: Where the policy is evaluated free of charge; None on a physical robot.
+        simulator: Where the policy is evaluated free of charge; None where the robot is physical,
+            or another driver with the same options would move the same one.
         learner: The learner.
         budget_ticks: Control ticks that the budget grants.
     """
@@ -44,11 +46,33 @@ class Workcell:
             if self.simulator is not None
             else "on the robot, on an account of its own"
         )
-        return (
+        evaluations = self._evaluations(episodes)
+        evaluated = evaluations * self.evaluation_episodes
+        sentence = (
             f"{self.config.budget_minutes:g} robot minutes are {self.budget_ticks:,} ticks of "
             f"{period_ms:g} ms: {episodes:,} episodes of up to {per_episode}, each with a reset; "
-            f"evaluation runs {place}"
+            f"evaluation runs {place}, {self.evaluation_episodes:,} episodes each time, about "
+            f"{evaluated:,} in all"
         )
+        if not self.env.driver.paces_itself:
+            return sentence
+        motion = _wall_time(self.budget_ticks * period_ms / 1e3)
+        evaluation = _wall_time(evaluated * per_episode * period_ms / 1e3)
+        return (
+            f"{sentence}; the robot moves in real time: about {motion} for the budget and "
+            f"{evaluation} for evaluation, resets and learning not counted"
+        )
+
+    @property
+    def evaluation_episodes(self) -> int:
+        """Episodes of one evaluation."""
+        settings = self.config.evaluation
+        return settings.robot_episodes if self.simulator is None else settings.episodes
+
+    def _evaluations(self, episodes: int) -> int:
+        """How often a run that spends its budget in whole episodes is evaluated."""
+        epochs = -(-episodes // self.config.learner.schedule.real_episodes)
+        return -(-epochs // self.config.evaluation.every_epochs)  # the last epoch always is
 
 
 @contextmanager
@@ -70,7 +94,7 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
     with ExitStack() as stack:
         env = stack.enter_context(config.chosen_robot.make_env(config.task))
         simulator = None
-        if not env.driver.spec.physical:
+        if not (env.driver.spec.physical or env.driver.exclusive):
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
         symmetry = env.task.symmetry(rough=config.learner.symmetry.rough)
         shapes = Shapes(
@@ -95,6 +119,10 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
             raise UserError(f"task {config.task!r}: {error}") from error
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
         yield Workcell(config, env, simulator, learner, ticks)
+
+
+def _wall_time(seconds: float) -> str:
+    return str(datetime.timedelta(seconds=round(seconds)))
 
 
 def pick_device(name: str) -> torch.device:

@@ -40,7 +40,8 @@ def test_a_file_of_ones_own_reaches_the_driver_as_it_is(
     choose_robot("other", str(mine)).make_env("push", "rgb_array")
 
     options = {"object": {"mass_kg": 0.1}, "actuation": "mocap", "delay": 2}
-    assert made == [(("push", "other"), {"render_mode": "rgb_array", **options})]
+    expected = {"render_mode": "rgb_array", "ask_human": None, **options}
+    assert made == [(("push", "other"), expected)]
 
 
 @pytest.mark.parametrize(
@@ -97,12 +98,89 @@ def test_every_shipped_robot_takes_every_task(name: str) -> None:
         choose_robot("mujoco", None),
         choose_robot("mujoco", "fetch-mocap"),
         choose_robot("far away", None),
+        choose_robot("zenoh", None),
+        choose_robot("zenoh", "arm-2"),
+        choose_robot("zenoh", None, ["tcp/10.0.0.7:7447", "tls/arm:7447"]),
     ],
 )
 def test_the_options_of_a_command_name_the_same_robot(robot: ChosenRobot) -> None:
-    words = shlex.split(robot.command_options)
-    given = dict(zip(words[::2], words[1::2], strict=True))
-    assert choose_robot(given.get("--driver", "mujoco"), given.get("--robot")) == robot
+    assert from_words(robot.command_options) == robot
+
+
+def from_words(command_options: str) -> ChosenRobot:
+    words = shlex.split(command_options)
+    given = list(zip(words[::2], words[1::2], strict=True))
+    connect = [value for name, value in given if name == "--connect"]
+    return choose_robot(dict(given).get("--driver"), dict(given).get("--robot"), connect)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "actuation: mocap",
+        "driver: mujoco\nactuation: mocap",
+        "driver: other\ndelay: 2",
+        "driver: zenoh\nrobot: arm\nconnect: [tcp/a:1]\ntls: {ca: ca.pem}\n",
+    ],
+)
+def test_the_options_of_a_command_name_the_same_file(mine: Path, text: str) -> None:
+    mine.write_text(text)
+    for connect in [], ["tcp/b:2"]:
+        if connect and "zenoh" not in text:
+            continue
+        robot = choose_robot(None, str(mine), connect)
+        assert from_words(robot.command_options) == robot
+
+
+def test_a_robot_on_the_network_goes_by_its_name_there() -> None:
+    assert choose_robot("zenoh", None) == ChosenRobot("zenoh", "fetch", {"robot": "fetch"})
+    arm = choose_robot("zenoh", "arm-2", ["tcp/a:1"])
+    assert arm.options == {"robot": "arm-2", "connect": ["tcp/a:1"]}
+    assert arm.title == "zenoh arm-2"
+
+
+def test_a_file_may_name_its_driver_which_is_no_option(mine: Path) -> None:
+    mine.write_text("driver: other\ndelay: 2\n")
+    for driver in (None, "other"):
+        assert choose_robot(driver, str(mine)) == ChosenRobot("other", str(mine), {"delay": 2})
+    with pytest.raises(UserError, match=r"mine\.yaml: driver is 'other', but 'mujoco' is asked"):
+        choose_robot("mujoco", str(mine))
+
+    mine.write_text("delay: 2\n")
+    assert choose_robot(None, str(mine)).driver == "mujoco"
+    assert choose_robot(None, str(mine), default_driver="zenoh").driver == "zenoh"
+    mine.write_text("driver: 3\n")
+    with pytest.raises(UserError, match=r"driver is 3, allowed: the name of a driver"):
+        choose_robot(None, str(mine))
+
+
+def test_files_that_a_file_names_lie_beside_it(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine.write_text(
+        "driver: zenoh\nuser: me\npassword_file: secret/mine.txt\n"
+        "tls: {ca: /etc/ca.pem, key: ../me.key, certificate: 3}\n"
+    )
+    monkeypatch.chdir(mine.parent)
+    for name in (str(mine), mine.name):  # wherever the command is run, and later resumed
+        options = choose_robot(None, name).options
+        assert options["password_file"] == str(mine.parent / "secret/mine.txt")
+        assert options["tls"]["ca"] == "/etc/ca.pem"
+        assert Path(options["tls"]["key"]).resolve() == mine.parent.parent / "me.key"
+        assert options["tls"]["certificate"] == 3  # for the driver to judge
+        assert options["user"] == "me"
+
+    mine.write_text("password_file: mine.txt\n")
+    assert choose_robot("other", str(mine)).options == {"password_file": "mine.txt"}
+
+
+def test_endpoints_are_for_a_robot_on_the_network(mine: Path) -> None:
+    mine.write_text("driver: zenoh\nconnect: [tcp/a:1]\n")
+    assert choose_robot(None, str(mine)).options["connect"] == ["tcp/a:1"]
+    assert choose_robot(None, str(mine), ["tcp/b:2"]).options["connect"] == ["tcp/b:2"]
+    for driver in (None, "mujoco", "other"):
+        with pytest.raises(
+            UserError, match=r"--connect is 'tcp/b:2', but driver .* --driver zenoh"
+        ):
+            choose_robot(driver, None, ["tcp/b:2"])
 
 
 def test_titles_name_driver_and_robot_without_folders() -> None:

@@ -96,6 +96,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
         *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
         *"--until-success 0.9 --device cpu --quiet --robot worn --video".split(),
+        *"--connect tcp/10.0.0.7:7447 --connect tls/arm:7447".split(),
     )
 
     assert outcome == Outcome(0, "what the application says\n", "")
@@ -103,6 +104,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         "task": "push",
         "driver": "mujoco",
         "robot": "worn",
+        "connect": ["tcp/10.0.0.7:7447", "tls/arm:7447"],
         "preset": "paper",
         "algo": "her",
         "budget_minutes": 1.5,
@@ -127,6 +129,8 @@ def test_train_leaves_to_the_application_what_is_not_given(
     assert train.kwargs["out"] is None
     assert train.kwargs["until_success"] is None
     assert train.kwargs["robot"] is None
+    assert train.kwargs["driver"] is None
+    assert not train.kwargs["connect"]
     assert train.kwargs["video"] is False
     assert train.kwargs["display"] is True
     assert not train.kwargs["overrides"]
@@ -146,7 +150,7 @@ def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPat
 
     outcome = run(
         *"evaluate p.pt --episodes 3 --official --video v.mp4 --seed 5 --task push".split(),
-        *"--robot mine.yaml --accept-interface".split(),
+        *"--robot mine.yaml --accept-interface --connect tcp/10.0.0.7:7447".split(),
     )
 
     assert outcome == Outcome(0, "what the application says\n", "")
@@ -155,8 +159,9 @@ def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPat
         "episodes": 3,
         "seed": 5,
         "official": True,
-        "driver": "mujoco",
+        "driver": None,
         "robot": "mine.yaml",
+        "connect": ["tcp/10.0.0.7:7447"],
         "task": "push",
         "video": Path("v.mp4"),
         "accept_interface": True,
@@ -302,6 +307,7 @@ def test_a_bug_is_not_hidden_as_bad_input(run: Run, monkeypatch: pytest.MonkeyPa
         ("train --task push --preset papr", ["'papr'", "did you mean 'paper'?"]),
         ("train --task push --robot ftch", ["'ftch'", "did you mean 'fetch'?"]),
         ("train --task push --robot no/robot.yaml", ["no robot file at no/robot.yaml"]),
+        ("train --task push --connect tcp/a:1", ["--connect is 'tcp/a:1'", "'mujoco'", "zenoh"]),
         ("train --task push --algo hr", ["'hr'", "her-matched", "did you mean 'her'?"]),
         ("train --task push --set learner.ddpg.gama=0.9", ["gama", "learner.ddpg.gamma"]),
         ("train --task push --set learner.ddpg.gamma=1.5", ["gamma", "1.5", "1"]),

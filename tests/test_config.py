@@ -307,6 +307,23 @@ def test_the_robots_options_are_kept_as_they_were_read(configs: Files, tmp_path:
     assert load_config("push", "default", "iher", []).robot_options == {"actuation": "mocap"}
 
 
+def test_a_robots_file_may_name_the_driver_unless_another_layer_does(
+    configs: Files, tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("driver: zenoh\nrobot: arm\n")
+
+    config = load_config("push", "default", "iher", [], robot=str(mine), connect=["tcp/a:1"])
+
+    assert (config.driver, config.robot) == ("zenoh", str(mine))
+    assert config.robot_options == {"robot": "arm", "connect": ["tcp/a:1"]}
+    assert config.chosen_robot.command_options.endswith(" --connect tcp/a:1")
+    for driver in ["driver=mujoco"], ["driver=other"]:
+        with pytest.raises(UserError, match=r"mine\.yaml: driver is 'zenoh', but"):
+            load_config("push", "default", "iher", driver, robot=str(mine))
+    load_config("push", "default", "iher", ["driver=zenoh"], robot=str(mine))
+
+
 def test_the_default_robot_is_that_of_the_driver_wherever_it_was_named(configs: Files) -> None:
     configs("presets/default/push.yaml", "driver: other")
     config = load()

@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from drivers import FaultLatched, InvalidCommand, LifecycleError, ResetOutcome
-from iher_robot.env import EpisodeAborted, GoalRobotEnv, ResetFailed, make_env
-from iher_robot.errors import UserError
+from drivers import (
+    FaultLatched,
+    InvalidCommand,
+    LeaseRefused,
+    LifecycleError,
+    LinkLost,
+    ResetOutcome,
+)
+from iher_robot.collect import Recorder
+from iher_robot.env import EpisodeAborted, GoalRobotEnv, LinkTooSlow, ResetFailed, make_env
+from iher_robot.errors import NoSolution, UserError
 from iher_robot.registration import ENV_IDS, register_envs
 from tasks import MissingObject, make_task
 from tests.drivers.fake_robot import PERIOD_NS, FakeRobot
@@ -279,7 +287,10 @@ def test_an_action_that_cannot_be_used_leaves_the_robot_held(
 
 
 def fail_in(
-    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, error: type[BaseException]
+    monkeypatch: pytest.MonkeyPatch,
+    owner: object,
+    name: str,
+    error: BaseException | type[BaseException],
 ) -> None:
     def failing(*_: object) -> None:
         raise error
@@ -332,9 +343,106 @@ def test_a_robot_that_cannot_be_held_needs_a_reset_all_the_same(
 ) -> None:
     env.reset(seed=0)
     robot.failing = {"advance", "hold"}
-    with pytest.raises(OSError, match="hold failed"):
+    with pytest.raises(OSError, match="advance failed") as error:
         env.step(FORWARD)
+    assert error.value.__notes__ == ["fake could not be held either: OSError('hold failed')"]
     assert not robot.is_armed
     robot.failing = set()
     with pytest.raises(gym.error.ResetNeeded):
         env.step(FORWARD)
+
+
+@pytest.mark.parametrize("cause", ["unseen", "expired", "not applied"])
+def test_a_link_that_is_too_slow_is_named(env: GoalRobotEnv, robot: FakeRobot, cause: str) -> None:
+    env.reset(seed=0)
+    robot.lost_ticks = 2 * (cause == "unseen")
+    robot.frozen = cause == "not applied"
+
+    def step() -> None:
+        if cause == "expired":
+            robot.clock.advance_ns(3 * PERIOD_NS)
+        env.step(FORWARD)
+
+    step()
+    step()
+    with pytest.raises(LinkTooSlow, match=r"in 3 of these 3 .*iher-robot doctor"):
+        step()
+    assert_held(env, robot)
+
+
+def test_a_controller_without_a_solution_is_not_blamed_on_the_link(
+    env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env.reset(seed=0)
+    robot.lost_ticks = 1
+    env.step(FORWARD)
+    robot.lost_ticks = 0
+
+    def no_solution(*_: object) -> None:
+        raise NoSolution("an arm in a knot")
+
+    monkeypatch.setattr(env.controller, "command", no_solution)
+    env.step(FORWARD)
+    with pytest.raises(EpisodeAborted, match="3 invalid ticks, allowed: 2; an arm") as error:
+        env.step(FORWARD)
+    assert not isinstance(error.value, LinkTooSlow)
+
+
+def test_ticks_unseen_in_the_step_that_aborts_are_charged(
+    env: GoalRobotEnv, robot: FakeRobot
+) -> None:
+    recorder = Recorder()
+    recorder.start(env.reset(seed=0)[0])
+    begun = robot.seq
+    robot.lost_ticks = 3
+    recorder.step(env, FORWARD)
+    recorder.step(env, FORWARD)
+    with pytest.raises(LinkTooSlow):
+        recorder.step(env, FORWARD)
+    assert recorder.ticks == robot.seq - begun == 12
+
+
+@pytest.mark.parametrize("kind", [LinkLost, LeaseRefused])
+@pytest.mark.parametrize("hook", ["_apply", "_advance", "_read"])
+def test_a_robot_that_is_lost_in_a_step_aborts_the_episode_and_is_connected_anew(
+    env: GoalRobotEnv,
+    robot: FakeRobot,
+    monkeypatch: pytest.MonkeyPatch,
+    hook: str,
+    kind: type[Exception],
+) -> None:
+    env.reset(seed=0)
+    with monkeypatch.context() as patch:
+        fail_in(patch, robot, hook, kind("no answer in 1 s"))
+        with pytest.raises(EpisodeAborted, match="no answer in 1 s") as error:
+            env.step(FORWARD)
+    assert isinstance(error.value.__cause__, kind)
+    assert not robot.is_armed
+    assert robot.calls[-2:] == ["hold", "close"]
+    env.reset(seed=0)
+    assert env.step(FORWARD)[4]["tick_valid"]
+
+
+@pytest.mark.parametrize("kind", [LinkLost, LeaseRefused])
+def test_a_robot_that_is_lost_in_a_reset_is_disconnected(
+    env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+) -> None:
+    with monkeypatch.context() as patch:
+        fail_in(patch, robot, "_prepare_to_arm", kind("no answer"))
+        with pytest.raises(kind, match="no answer"):
+            env.reset(seed=0)
+    assert not robot.is_open
+    env.reset(seed=0)
+    assert robot.is_armed
+
+
+def test_a_lost_robot_that_cannot_be_held_either_stays_a_lost_robot(
+    env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env.reset(seed=0)
+    robot.failing = {"hold"}
+    fail_in(monkeypatch, robot, "_advance", LinkLost("no answer"))
+    with pytest.raises(EpisodeAborted, match="no answer") as error:
+        env.step(FORWARD)
+    assert "hold failed" in error.value.__notes__[0]
+    robot.failing = set()

@@ -19,7 +19,7 @@ from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
 from iher_robot.policy_file import PolicyFile, save_policy
-from iher_robot.policy_fit import check_fit, load_actor
+from iher_robot.policy_fit import body_differences, check_fit, load_actor
 
 Save = Callable[..., Path]
 ROBOT = "fetch-mocap"
@@ -119,6 +119,21 @@ def test_an_episode_that_is_aborted_is_a_failure(
 
     monkeypatch.setattr(GoalRobotEnv, "step", stopped_at_the_goal)
     assert evaluate(save(), episodes=2, robot=ROBOT).successes == 1
+
+
+def test_another_body_is_named_by_what_differs_and_nothing_else(save: Save) -> None:
+    actor = load_actor(save())
+    with choose_robot("mujoco", ROBOT).make_env("reach") as env:
+        env.driver._spec = dataclasses.replace(env.driver.spec, calibration_id="new")
+        (warning,) = check_fit(actor, env)
+        assert warning.endswith("it differs in calibration_id")
+        found = body_differences(actor.file, env.driver.spec)
+    assert found == ['calibration_id: "new", not "simulated"']
+
+
+def test_the_official_environment_has_no_network(save: Save) -> None:
+    with pytest.raises(UserError, match=r"--connect is 'tcp/a:1'.*official"):
+        evaluate(save(), official=True, connect=["tcp/a:1"])
 
 
 def test_the_official_environment_has_no_robot_file(save: Save) -> None:

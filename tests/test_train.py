@@ -210,7 +210,7 @@ def test_evaluation_on_a_robot_is_kept_and_charged_to_its_own_account(
             yield dataclasses.replace(cell, simulator=None)
 
     monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)
-    run(tmp_path / "run", EPOCH_MINUTES)
+    run(tmp_path / "run", EPOCH_MINUTES, "evaluation.robot_episodes=2")
     kept = [(s.account, s.epoch) for s in EpisodeStore(tmp_path / "run" / "episodes")]
     assert kept == [("motion", 1)] * 2 + [("evaluation", 1)] * 2
     with Ledger(tmp_path / "run" / "ledger.sqlite") as ledger:

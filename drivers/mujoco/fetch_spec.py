@@ -48,6 +48,8 @@ _WORKSPACE = Box((0.6, 0.2, 0.4185), (1.8, 1.3, 1.2))
 _MOCAP_EE_SPEED = 2.2
 _MOCAP_WORKSPACE = Box((-1.0, -1.0, -0.5), (3.0, 2.5, 2.5))
 
+_WATCHDOG_TICKS = 2.5
+
 
 def fetch_spec(
     model: mujoco.MjModel,
@@ -76,7 +78,7 @@ def fetch_spec(
     heights = {} if start.object_height is None else {OBJECT: start.object_height}
     x, y, z = map(float, start.ee_pos)
     qw, qx, qy, qz = map(float, start.ee_quat)
-    limits = _limits(model, robot, watchdog_s=2.5 * period_s)
+    limits = _limits(model, robot, watchdog_s=_WATCHDOG_TICKS * period_s)
     return RobotSpec(
         name=f"fetch-mujoco-{robot.actuation}-{scene_name}",
         command_kinds=(EndEffectorCommand.kind if mocap else JointCommand.kind,),
@@ -118,8 +120,9 @@ def _gains(robot: FetchRobot) -> dict[str, float]:
 def _camera(robot: FetchRobot, period_s: float) -> ObjectSource:
     sensors = robot.sensors
     between_s = 0.0 if sensors.object_rate_hz is None else 1.0 / sensors.object_rate_hz
-    # Just before the next picture arrives, and one tick for what is measured in between.
-    age_s = between_s + sensors.object_delay_s + period_s
+    # Just before the next picture arrives, and as long as any measurement may be used: where the
+    # robot is served in real time, a state is up to a tick old before the next one comes.
+    age_s = between_s + sensors.object_delay_s + _WATCHDOG_TICKS * period_s
     return ObjectSource("simulator", "world", max_age_s=age_s)
 
 

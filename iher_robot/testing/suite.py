@@ -41,6 +41,8 @@ class ContractSuite(ABC):
     fast joints shake the slow ones."""
     position_error: ClassVar[float] = 0.01
     """By how much a measured position may exceed its limit, m and rad."""
+    kinds: ClassVar[Sequence[str]] = ()
+    """Kinds of command that the robot declares; by default a driver is made to ask it."""
     sample_types: ClassVar[Sequence[type[CommandSamples]]] = (EndEffectorSamples, JointSamples)
     """Makers of commands, one for each kind that the robot may declare."""
 
@@ -150,4 +152,4 @@ def _retire(driver: RobotDriver) -> None:
 
 @functools.cache
 def _declared_kinds(suite: type[ContractSuite]) -> tuple[str, ...]:
-    return suite().make_driver().spec.command_kinds
+    return tuple(suite.kinds) or suite().make_driver().spec.command_kinds

@@ -1,0 +1,109 @@
+"""The right to command a remote robot: asked for, kept while the client lives, given back."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import platform
+import threading
+import time
+import uuid
+
+from drivers.errors import DriverError, LeaseRefused, LinkLost
+from drivers.remote.client import RobotClient
+from drivers.remote.messages import LeaseRequest
+
+_RENEWALS = 4
+"""Renewals in the time for which a lease is given."""
+_AGAIN_S = 0.2
+_RELEASE_S = 0.3
+
+
+class ClientLease:
+    """The lease of one client. A thread of its own renews it.
+
+    Attributes:
+        token: Under which the host takes commands, 0 without a lease.
+        boot: Which start of the host gave it.
+        session: Stands for this client; it may take over what is its own.
+    """
+
+    def __init__(self, scene: str | None) -> None:
+        """Prepare to ask.
+
+        Args:
+            scene: The scene that the task needs; None for the one in force.
+        """
+        self.token = 0
+        self.boot = ""
+        self.session = uuid.uuid4().hex
+        self._scene = scene
+        self._client: RobotClient | None = None
+        self._ended = threading.Event()
+        self._renewing: threading.Thread | None = None
+
+    def acquire(self, client: RobotClient, patience_s: float) -> None:
+        """Ask for it, again and again while somebody else has it.
+
+        Args:
+            client: Session with the host.
+            patience_s: How long to try: the lease of a client that died ends by itself.
+
+        Raises:
+            LeaseRefused: Somebody else keeps it.
+            LinkLost: The host does not answer.
+        """
+        deadline = time.monotonic() + patience_s
+        while True:
+            try:
+                ttl_s = self._ask(client)
+                break
+            except LeaseRefused:
+                if time.monotonic() >= deadline:
+                    raise
+                time.sleep(_AGAIN_S)
+        self._client = client
+        self._ended = threading.Event()
+        self._renewing = threading.Thread(
+            target=self._renew, args=(client, ttl_s, self._ended), daemon=True, name="robot lease"
+        )
+        self._renewing.start()
+
+    def release(self) -> None:
+        """Give it back, if the host still hears."""
+        client, self._client = self._client, None
+        self._ended.set()
+        if client is None or not self.token:
+            return
+        try:
+            client.request("lease", self._message("release"), _RELEASE_S)
+        except DriverError:
+            pass  # it ends by itself
+        finally:
+            self.token = 0
+
+    def _ask(self, client: RobotClient) -> float:
+        # A scene may have to be loaded first.
+        reply = client.request("lease", self._message("acquire"), client.options.reset_timeout_s)
+        self.token, self.boot = int(reply.result["token"]), reply.boot
+        return float(reply.result["ttl_s"])
+
+    def _renew(self, client: RobotClient, ttl_s: float, ended: threading.Event) -> None:
+        while not ended.wait(ttl_s / _RENEWALS):
+            try:
+                client.request("lease", self._message("renew"), ttl_s / _RENEWALS)
+            except LeaseRefused:
+                return  # the next state says so, or the next request
+            except LinkLost:
+                continue
+
+    def _message(self, op: str) -> LeaseRequest:
+        return LeaseRequest.model_validate(
+            {
+                "op": op,
+                "session": self.session,
+                "holder": f"{getpass.getuser()}@{platform.node()}:{os.getpid()}",
+                "token": self.token,
+                "scene": self._scene,
+            }
+        )

@@ -1,0 +1,230 @@
+"""How a client reaches a robot's host."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import stat
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import zenoh
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from drivers.errors import InvalidSpec, LinkLost
+from drivers.names import unknown
+from drivers.remote.certificates import TlsFiles, check_certificates
+from drivers.remote.keys import ROBOT_NAME
+from drivers.wire import MAX_BYTES
+
+log = logging.getLogger(__name__)
+
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):(\d{1,5})")
+
+# Peers without scouting: unlike a router or a client's first hop, such a host passes nothing on
+# from one client to another, and clients never look for each other.
+POINT_TO_POINT: Mapping[str, object] = {
+    "mode": "peer",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/link/protocols": ["tcp", "tls"],
+    "transport/link/tx/lease": 1000,
+    "transport/link/rx/max_message_size": 2 * MAX_BYTES,
+    "transport/shared_memory/enabled": False,
+}
+"""Settings of Zenoh that host and clients share."""
+
+
+def check_endpoint(endpoint: str) -> str:
+    """Return a Zenoh endpoint if it is one that a robot can be served on.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or not 1 <= int(match[3]) <= 65535:
+        raise ValueError(f"endpoint is {endpoint!r}, allowed: tcp/HOST:PORT or tls/HOST:PORT")
+    return endpoint
+
+
+Endpoint = Annotated[str, AfterValidator(check_endpoint)]
+Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
+
+
+class LinkOptions(BaseModel):
+    """Where a robot is, and who asks: the options of driver ``zenoh``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    robot: str = Field(default="fetch", pattern=f"^{ROBOT_NAME}$")
+    """Name of the robot on the network."""
+    connect: tuple[Endpoint, ...] = Field(default=("tcp/127.0.0.1:7447",), min_length=1)
+    """Zenoh endpoints of its host, tried in turn."""
+    tls: TlsFiles | None = None
+    """Certificates; needed where the host listens on a tls endpoint."""
+    user: str | None = Field(default=None, min_length=1)
+    """User name, where the host asks for one."""
+    password_file: Path | None = None
+    """File whose only line is that user's password."""
+    timeout_s: Seconds = 1.0
+    """Longest time to wait for a state in a tick, and for an answer, s."""
+    connect_timeout_s: Seconds = 3.0
+    """Longest time to wait for the host, and for a lease that somebody else has, s."""
+    reset_timeout_s: Seconds = 120.0
+    """Longest time to wait for a reset, or for a scene to be loaded, s."""
+
+
+def link_options(options: Mapping[str, object]) -> LinkOptions:
+    """Read the options of a remote robot.
+
+    Args:
+        options: As in a user's robot file; what is left out has its default.
+
+    Raises:
+        InvalidSpec: If a key is unknown or a value not allowed.
+    """
+    try:
+        link = LinkOptions.model_validate(options)
+    except ValidationError as error:
+        details = error.errors(include_url=False, include_context=False)
+        raise InvalidSpec("; ".join(_sentence(detail) for detail in details)) from None
+    if (link.user is None) != (link.password_file is None):
+        raise InvalidSpec("a remote robot's user and password_file belong together; give both")
+    if link.tls is None and any(endpoint.startswith("tls/") for endpoint in link.connect):
+        raise InvalidSpec("a tls endpoint needs certificates: give tls: {ca, certificate, key}")
+    return link
+
+
+def open_session(options: LinkOptions) -> zenoh.Session:
+    """Connect to a robot's host.
+
+    Args:
+        options: Where it is, and who asks.
+
+    Returns:
+        A session with a link to the host.
+
+    Raises:
+        LinkLost: Nobody answers there, or refuses these credentials.
+        InvalidSpec: A file of certificates or the password cannot be read.
+    """
+    config = client_config(options)
+    deadline = time.monotonic() + options.connect_timeout_s
+    cause: zenoh.ZError | None = None
+    # One by one, because a Zenoh peer is content only when every endpoint answers.
+    for waiting, endpoint in zip(range(len(options.connect), 0, -1), options.connect, strict=True):
+        share_s = max(deadline - time.monotonic(), 0.0) / waiting
+        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+        config.insert_json5("connect/timeout_ms", str(max(1, round(1e3 * share_s))))
+        try:
+            session = zenoh.open(config)
+        except zenoh.ZError as error:
+            cause = error
+            continue
+        if session.info.links():  # Zenoh may open without any, such as after a refusal
+            return session
+        session.close()
+    raise LinkLost(_nobody(options)) from cause
+
+
+def client_config(options: LinkOptions) -> zenoh.Config:
+    """Return the configuration of a client's session: it knows the host and nobody else.
+
+    Raises:
+        InvalidSpec: A file of certificates or the password cannot be read, or is not what it
+            should be.
+    """
+    settings: dict[str, object] = {
+        **POINT_TO_POINT,
+        "listen/endpoints": [],
+        "connect/endpoints": list(options.connect),
+        "connect/timeout_ms": round(1e3 * options.connect_timeout_s),
+        "connect/exit_on_failure": True,
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
+    }
+    if options.tls is not None:
+        check_certificates(options.tls)
+        settings |= {
+            "transport/link/tls/root_ca_certificate": str(options.tls.ca),
+            "transport/link/tls/connect_certificate": str(options.tls.certificate),
+            "transport/link/tls/connect_private_key": str(options.tls.key),
+            "transport/link/tls/enable_mtls": True,
+            "transport/link/tls/verify_name_on_connect": True,
+        }
+    if options.user is not None and options.password_file is not None:
+        settings |= {
+            "transport/auth/usrpwd/user": options.user,
+            "transport/auth/usrpwd/password": _password(options.password_file),
+        }
+    return make_config(settings)
+
+
+def make_config(settings: Mapping[str, object]) -> zenoh.Config:
+    """Return a Zenoh configuration.
+
+    Args:
+        settings: Value of each key.
+    """
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def warn_if_others_can_read(path: Path, kind: str) -> None:
+    """Log it where a file with a secret is open to other users of this machine.
+
+    Args:
+        path: The file.
+        kind: What it is, such as ``"password_file"``.
+    """
+    if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        log.warning("%s %s can be read by others; say: chmod 600 %s", kind, path, path)
+
+
+def _nobody(options: LinkOptions) -> str:
+    where = ", ".join(options.connect)
+    refused = (
+        ", or it refuses these credentials, which may be wrong"
+        if options.tls is not None or options.user is not None
+        else ", or it asks for credentials and none are given"
+    )
+    return (
+        f"no host of robot {options.robot!r} answers at {where} within "
+        f"{options.connect_timeout_s:g} s{refused}; start one, for a simulated robot with: "
+        "iher-robot serve --driver mujoco"
+    )
+
+
+def _password(path: Path) -> str:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no UTF-8 text"
+        raise InvalidSpec(
+            f"password_file {str(path)!r} cannot be read: {reason}; its only line is the password"
+        ) from None
+    if len(lines) != 1 or not lines[0].strip():
+        raise InvalidSpec(
+            f"password_file {str(path)!r} has {len(lines)} lines, allowed: one, the password"
+        )
+    warn_if_others_can_read(path, "password_file")
+    return lines[0].strip()  # so does the host with what its file of users says
+
+
+def _sentence(detail: Mapping[str, object]) -> str:
+    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
+    key, value, reason = ".".join(path), detail["input"], str(detail["msg"])
+    if detail["type"] == "extra_forbidden":
+        section: type[BaseModel] = TlsFiles if path[0] == "tls" else LinkOptions
+        names = [".".join((*path[:-1], name)) for name in section.model_fields]
+        return unknown("setting of a remote robot", key, names)
+    reason = reason.removeprefix("Value error, ")
+    return f"setting {key} of a remote robot is {value!r}: {reason[0].lower()}{reason[1:]}"

@@ -1,0 +1,248 @@
+"""A robot's state as it travels, tick by tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.gate import Fault
+from drivers.remote.messages import check_command, command_fields
+from drivers.spec import RobotSpec
+from drivers.state import AppliedCommand, JointSetpoint, Mode, ObjectPose, RobotState
+from drivers.wire import (
+    VERSION,
+    Array,
+    Count,
+    Message,
+    Name,
+    Part,
+    Text,
+    WireError,
+    pack,
+    unpack,
+)
+
+_ARRAYS = ("q", "dq", "ee_pos", "ee_quat", "ee_linvel", "ee_angvel", "fingers_pos", "fingers_vel")
+
+
+@dataclass(frozen=True)
+class HostInfo:
+    """What a host says besides the robot's state.
+
+    Attributes:
+        boot: Which start of the host this is.
+        token: The lease in force, 0 for none.
+        n: Number of the last command of that lease that was dealt with before the tick ended.
+        now_ns: When it was sent, on the clock of the stamps.
+        armed: Whether the command gate is open.
+        disarmed_because: Why the host closed the gate by itself, empty if it did not.
+        fault: The latched fault.
+        refusals: Commands refused since the host started, by reason.
+        clips: Commands cut since the host started, by reason.
+    """
+
+    boot: str
+    token: int
+    n: int
+    now_ns: int
+    armed: bool
+    disarmed_because: str
+    fault: Fault | None
+    refusals: Mapping[str, int]
+    clips: Mapping[str, int]
+
+
+class FaultPart(Part):
+    """A latched fault."""
+
+    name: Name
+    reason: Text
+    stamp_ns: int
+
+
+class AppliedPart(Part):
+    """What was last applied; `command` has the form of a command message."""
+
+    tick: Count
+    clipped: list[Name]
+    command: dict[str, Any]
+
+
+class SetpointPart(Part):
+    """What the motors follow."""
+
+    q: Array
+    dq: Array
+    fingers: Array
+
+
+class ObjectPart(Part):
+    """An object as one sensor saw it."""
+
+    pos: Array
+    quat: Array
+    linvel: Array
+    angvel: Array
+    stamp_ns: int
+    source: Name
+    frame: Name
+
+
+class StateMessage(Message):
+    """A `RobotState` and a `HostInfo`."""
+
+    boot: Name
+    token: Count
+    n: Count
+    now_ns: int
+    armed: bool
+    disarmed_because: Text
+    fault: FaultPart | None
+    refusals: dict[Name, Count]
+    clips: dict[Name, Count]
+    seq: Count
+    stamp_ns: int
+    mode: Name
+    q: Array
+    dq: Array
+    ee_pos: Array
+    ee_quat: Array
+    ee_linvel: Array
+    ee_angvel: Array
+    fingers_pos: Array
+    fingers_vel: Array
+    applied: AppliedPart | None
+    setpoint: SetpointPart | None
+    objects: dict[Name, ObjectPart]
+
+
+def pack_state(state: RobotState, info: HostInfo) -> bytes:
+    """Encode a state.
+
+    Args:
+        state: The robot's.
+        info: The host's.
+    """
+    applied, setpoint = state.applied, state.setpoint
+    content: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}
+    content |= {
+        "v": VERSION,
+        "boot": info.boot,
+        "token": info.token,
+        "n": info.n,
+        "now_ns": info.now_ns,
+        "armed": info.armed,
+        "disarmed_because": info.disarmed_because,
+        "fault": None if info.fault is None else vars(info.fault),
+        "refusals": dict(info.refusals),
+        "clips": dict(info.clips),
+        "seq": state.seq,
+        "stamp_ns": state.stamp_ns,
+        "mode": str(state.mode),
+        "applied": None if applied is None else _applied(applied),
+        "setpoint": None if setpoint is None else vars(setpoint),
+        "objects": {name: vars(pose) for name, pose in state.objects.items()},
+    }
+    return pack(content)
+
+
+def unpack_state(data: bytes, spec: RobotSpec, received_ns: int) -> tuple[RobotState, HostInfo]:
+    """Decode and check a state.
+
+    Args:
+        data: Its bytes.
+        spec: The robot, whose numbers of joints, fingers and objects it must have.
+        received_ns: When it was received, on the receiver's clock, to which every stamp is moved:
+            by the age that it had when it was sent. The way itself is not known and not in it.
+
+    Returns:
+        What was sent.
+
+    Raises:
+        WireError: It is no state of this robot.
+    """
+    message = unpack(StateMessage, data)
+    _check_shapes(message, spec)
+    shift_ns = received_ns - message.now_ns
+    applied, setpoint, fault = message.applied, message.setpoint, message.fault
+    state = RobotState(
+        seq=message.seq,
+        stamp_ns=message.stamp_ns + shift_ns,
+        **{name: getattr(message, name) for name in _ARRAYS},
+        mode=_mode(message.mode),
+        fault=None if fault is None else fault.name,
+        applied=None if applied is None else _read_applied(applied),
+        setpoint=None
+        if setpoint is None
+        else JointSetpoint(setpoint.q, setpoint.dq, setpoint.fingers),
+        objects={
+            name: ObjectPose(
+                pos=pose.pos,
+                quat=pose.quat,
+                linvel=pose.linvel,
+                angvel=pose.angvel,
+                stamp_ns=pose.stamp_ns + shift_ns,
+                source=pose.source,
+                frame=pose.frame,
+            )
+            for name, pose in message.objects.items()
+        },
+    )
+    info = HostInfo(
+        boot=message.boot,
+        token=message.token,
+        n=message.n,
+        now_ns=message.now_ns,
+        armed=message.armed,
+        disarmed_because=message.disarmed_because,
+        fault=None if fault is None else Fault(fault.name, fault.reason, fault.stamp_ns),
+        refusals=message.refusals,
+        clips=message.clips,
+    )
+    return state, info
+
+
+def _applied(applied: AppliedCommand) -> dict[str, Any]:
+    command = applied.command
+    message = {"v": VERSION, "boot": "", "token": 0, "n": 0, "answers": command.answers}
+    return {
+        "tick": applied.tick,
+        "clipped": [str(reason) for reason in applied.clipped],
+        "command": message | command_fields(command),
+    }
+
+
+def _read_applied(part: AppliedPart) -> AppliedCommand:
+    message = check_command(part.command)
+    command = message.command(message.answers)
+    if command is None:
+        raise WireError("malformed", "the applied command is none")
+    return AppliedCommand(part.tick, command, tuple(part.clipped))
+
+
+def _mode(name: str) -> Mode:
+    try:
+        return Mode(name)
+    except ValueError:
+        raise WireError("malformed", f"mode is {name!r:.40}, allowed: {', '.join(Mode)}") from None
+
+
+def _check_shapes(message: StateMessage, spec: RobotSpec) -> None:
+    joints, fingers = len(spec.joint_names), len(spec.finger_names)
+    sizes = dict(zip(_ARRAYS, (joints, joints, 3, 4, 3, 3, fingers, fingers), strict=True))
+    found = {name: getattr(message, name) for name in _ARRAYS}
+    if message.setpoint is not None:
+        found |= {f"setpoint.{name}": value for name, value in vars(message.setpoint).items()}
+        sizes |= {"setpoint.q": joints, "setpoint.dq": joints, "setpoint.fingers": fingers}
+    for name, pose in message.objects.items():
+        for field, size in (("pos", 3), ("quat", 4), ("linvel", 3), ("angvel", 3)):
+            found[f"{name}.{field}"], sizes[f"{name}.{field}"] = getattr(pose, field), size
+    unknown = message.objects.keys() - spec.objects.keys()
+    if unknown:
+        raise WireError("malformed", f"objects {sorted(unknown)}, of {spec.name}: none such")
+    for name, array in found.items():
+        if array.shape != (sizes[name],):
+            raise WireError(
+                "malformed", f"{name} has shape {array.shape}, allowed: ({sizes[name]},)"
+            )

@@ -1,0 +1,1 @@
+"""The host of a robot: what runs beside the robot and trusts no client."""

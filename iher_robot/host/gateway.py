@@ -1,0 +1,159 @@
+"""The gateway of a host: the only process of it that the network reaches."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from drivers.remote.keys import robot_key
+from drivers.remote.messages import unpack_command
+from drivers.remote.publishing import real_time_publisher
+from drivers.wire import MAX_BYTES, WireError
+from iher_robot.host.channel import Channel, Note
+
+log = logging.getLogger(__name__)
+
+_WAITING = 4096
+"""Messages of one kind that may wait; past them the oldest are dropped, and nobody is slowed."""
+_REQUESTS = 256
+_COMMAND_BYTES = 8192
+_TELL_AFTER = 64
+
+
+class Gateway:
+    """Carries messages between Zenoh and the robot process.
+
+    It sorts out commands that cannot be meant for this robot now, so that a flood of them costs
+    the control loop nothing; the loop checks everything again.
+    """
+
+    def __init__(self, session: zenoh.Session, robot: str, channel: Channel) -> None:
+        """Declare what the host publishes, hears and answers.
+
+        Args:
+            session: Listening.
+            robot: Name of the robot.
+            channel: To the robot process.
+        """
+        self._session = session
+        self._robot = robot
+        self._channel = channel
+        self._expected: tuple[str, int] = ("", 0)
+        self._refused: Counter[str] = Counter()
+        self._queries: dict[int, zenoh.Query] = {}
+        self._asked = 0
+        self._lock = threading.Lock()
+        self._states = real_time_publisher(session, self._key("state"))
+        self._faults = real_time_publisher(session, self._key("fault"))
+        self._alive = session.liveliness().declare_token(self._key("alive", "host"))
+        heard: dict[str, Callable[[zenoh.Sample], None]] = {
+            "cmd": self._command,
+            "stop": self._stop,
+            "object/*": self._object,
+        }
+        for name, take in heard.items():
+            subscriber = session.declare_subscriber(
+                self._key(name), zenoh.handlers.RingChannel(_WAITING)
+            )
+            self._start(name, self._each, subscriber, take)
+        queryable = session.declare_queryable(
+            self._key("rpc", "*"), zenoh.handlers.RingChannel(_REQUESTS)
+        )
+        self._start("requests", self._each, queryable, self._request)
+
+    def run(self) -> None:
+        """Carry what the robot process says, until it ends."""
+        while (note := self._channel.receive()) is not None:
+            if note.kind == "state":
+                self._expected = (note.name, note.number)
+                self._states.put(note.body)
+            elif note.kind == "fault":
+                self._faults.put(note.body)
+            elif note.kind == "reply":
+                self._reply(note.number, note.name, note.body)
+
+    def _command(self, sample: zenoh.Sample) -> None:
+        body = sample.payload.to_bytes()
+        try:
+            if len(body) > _COMMAND_BYTES:
+                raise WireError("too_long", "")
+            message = unpack_command(body)
+        except WireError as error:
+            self._refuse(error.reason)
+            return
+        boot, token = self._expected
+        if message.boot != boot:
+            self._refuse("wrong_boot")
+        elif not token or message.token != token:
+            self._refuse("wrong_token")
+        else:
+            self._tell()
+            self._channel.send(Note("command", body=body))
+
+    def _stop(self, sample: zenoh.Sample) -> None:
+        self._channel.send(Note("stop", body=self._body(sample.payload)))
+
+    def _object(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).rsplit("/", 1)[-1]
+        self._channel.send(Note("object", name=name, body=self._body(sample.payload)))
+
+    def _request(self, query: zenoh.Query) -> None:
+        self._tell()
+        name = str(query.key_expr).rsplit("/", 1)[-1]
+        with self._lock:
+            self._asked += 1
+            number = self._asked
+            self._queries[number] = query
+            if len(self._queries) > _REQUESTS:
+                del self._queries[next(iter(self._queries))]
+        if not self._channel.send(Note("request", number, name, self._body(query.payload))):
+            with self._lock:
+                self._queries.pop(number, None)
+
+    def _reply(self, number: int, name: str, body: bytes) -> None:
+        with self._lock:
+            query = self._queries.pop(number, None)
+        if query is None:
+            return
+        try:
+            with query:  # leaving it tells the client that there is no other answer
+                query.reply(self._key("rpc", name), body, express=True)
+        except zenoh.ZError as error:
+            log.warning("the answer to %s could not be sent: %s", name, error)
+
+    def _body(self, payload: zenoh.ZBytes | None) -> bytes:
+        if payload is None or len(payload) > MAX_BYTES // 8:
+            return b""  # no message at all: it is refused, and counted, as one
+        return payload.to_bytes()
+
+    def _refuse(self, reason: str) -> None:
+        with self._lock:
+            self._refused[reason] += 1
+            full = self._refused.total() >= _TELL_AFTER
+        if full:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Report what was refused here, many at once."""
+        with self._lock:
+            refused, self._refused = self._refused, Counter()
+        for reason, count in refused.items():
+            self._channel.send(Note("refused", count, reason))
+
+    def _each(self, source: Any, take: Callable[[Any], None]) -> None:
+        try:
+            for message in source:
+                take(message)
+        except zenoh.ZError:
+            return  # the session was closed
+
+    def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:
+        threading.Thread(target=target, args=arguments, daemon=True, name=name).start()
+
+    def _key(self, *parts: str) -> str:
+        return robot_key(self._robot, *parts)

@@ -1,0 +1,250 @@
+"""What a host answers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivers.command import ResetOutcome, ResetRequest
+from drivers.errors import DriverError, InvalidRequest, LinkLost
+from drivers.remote.messages import (
+    ArmRequest,
+    ClearFaultRequest,
+    Empty,
+    Leased,
+    LeaseRequest,
+    Ping,
+    Reply,
+    ResetMessage,
+    SpecRequest,
+    StopRequest,
+)
+from drivers.wire import WireError, pack, unpack
+from iher_robot.errors import UserError
+from iher_robot.host.commands import CommandDesk
+from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.memory import RobotTotal
+from iher_robot.host.served_robot import ServedRobot
+
+log = logging.getLogger(__name__)
+
+Result = dict[str, Any]
+
+
+class RequestDesk:
+    """Answers requests between two ticks, and stops at any time.
+
+    Args:
+        boot: Which start of the host this is.
+        robot: The robot.
+        lease: Who may command.
+        desk: Takes the commands.
+        deadman: Begins to wait when the robot is armed.
+        total: The robot's own account.
+        fixed_scene: The only scene, None for any.
+        status: What the loop adds to `status`.
+        slow: Called before something that takes longer than a tick, with its kind.
+    """
+
+    def __init__(
+        self,
+        *,
+        boot: str,
+        robot: ServedRobot,
+        lease: HostLease,
+        desk: CommandDesk,
+        deadman: Deadman,
+        total: RobotTotal,
+        fixed_scene: str | None,
+        status: Callable[[], Result],
+        slow: Callable[[], None],
+    ) -> None:
+        self._boot = boot
+        self._robot = robot
+        self._lease = lease
+        self._desk = desk
+        self._deadman = deadman
+        self._total = total
+        self._fixed_scene = fixed_scene
+        self._status_of_loop = status
+        self._slow = slow
+        self._seq = 0
+        self.disarmed_because = ""
+        self._answers: dict[str, Callable[[bytes], Result]] = {
+            "spec": self._spec,
+            "status": self._status,
+            "ping": self._ping,
+            "stop": self.stop,
+            "lease": self._lease_of,
+            "arm": self._arm,
+            "disarm": self._disarm,
+            "reset": self._reset,
+            "hands_clear": self._hands_clear,
+            "clear_fault": self._clear_fault,
+        }
+
+    def answer(self, name: str, body: bytes) -> bytes:
+        """Answer a request, whatever it is.
+
+        Args:
+            name: What for.
+            body: The request as it arrived.
+
+        Returns:
+            A packed `Reply`.
+        """
+        try:
+            if name not in self._answers:
+                known = ", ".join(sorted(self._answers))
+                raise InvalidRequest(f"request {name!r:.40} is unknown, valid: {known}")
+            result = self._answers[name](body)
+        except WireError as error:
+            return self._reply(InvalidRequest(f"request {name!r} cannot be read: {error}"))
+        except (DriverError, UserError) as error:
+            return self._reply(error)
+        return self._reply(None, result)
+
+    def stop(self, body: bytes) -> Result:
+        """Stop and latch; from any thread."""
+        request = unpack(StopRequest, body)
+        if not request.fault:
+            raise InvalidRequest("the fault of a stop has no name; give it one")
+        self._robot.driver.stop(request.reason, request.fault)
+        self._robot.keep_fault()  # before it is acknowledged
+        return {}
+
+    def published(self, seq: int) -> None:
+        """Note the sequence of the newest state."""
+        self._seq = seq
+
+    def disarm(self, because: str) -> None:
+        """Disarm the robot on the host's own account."""
+        self._robot.driver.disarm()
+        self._total.end()
+        self.disarmed_because = because
+
+    def _spec(self, body: bytes) -> Result:
+        scene = unpack(SpecRequest, body).scene or self._robot.scene
+        return {"spec": self._describe(scene).to_dict(), "scene": scene}
+
+    def _ping(self, body: bytes) -> Result:
+        return {"payload": unpack(Ping, body).payload}
+
+    def _status(self, body: bytes) -> Result:
+        unpack(Empty, body)
+        driver = self._robot.driver
+        fault = driver.fault
+        return {
+            "robot": self._robot.spec.name,
+            "scene": self._robot.scene,
+            "mode": str(self._robot.state().mode),
+            "armed": driver.is_armed,
+            "disarmed_because": self.disarmed_because,
+            "fault": None if fault is None else {"name": fault.name, "reason": fault.reason},
+            "holder": self._lease.holder,
+            "refusals": dict(self._desk.refusals),
+            "clips": {str(reason): n for reason, n in driver.clips.items()},
+            "total_ticks": self._total.spent(),
+            "control_period_s": self._robot.spec.control_period_s,
+            "deadman_s": self._deadman.limit_s,
+        } | self._status_of_loop()
+
+    def _lease_of(self, body: bytes) -> Result:
+        request = unpack(LeaseRequest, body)
+        if request.op == "acquire":
+            scene = request.scene or self._robot.scene
+            self._describe(scene)  # before anything changes
+            token = self._lease.acquire(request.session, request.holder)
+            self.disarm("")  # of whoever had it before
+            if scene != self._robot.scene:
+                self._slow()
+                self._robot.use(scene)
+                self._desk.forget()
+            return {"token": token, "ttl_s": self._lease.ttl_s}
+        self._lease.require(request.token)
+        if request.op == "release":
+            self.disarm("")
+            self._lease.release()
+        return {}
+
+    def _arm(self, body: bytes) -> Result:
+        request = unpack(ArmRequest, body)
+        self._require(request)
+        driver = self._robot.driver
+        driver.limit_speed(request.speed)
+        self._total.begin()
+        try:
+            driver.arm()
+        except BaseException:
+            self._total.end()
+            raise
+        self.disarmed_because = ""
+        self._deadman.heard()
+        return {}
+
+    def _disarm(self, body: bytes) -> Result:
+        self._require(unpack(Leased, body))
+        self.disarm("")
+        return {}
+
+    def _reset(self, body: bytes) -> Result:
+        request = unpack(ResetMessage, body)
+        self._require(request)
+        places = {}
+        for name, place in request.objects.items():
+            if len(place) != 2:
+                raise InvalidRequest(f"{name!r} is placed at {place!r:.60}, allowed: [x, y] in m")
+            places[name] = (place[0], place[1])
+        self._slow()
+        before = self._robot.state().stamp_ns
+        result = self._robot.driver.reset(ResetRequest(places, request.seed))
+        self._desk.forget()
+        self._lease.heard()
+        after = self._robot.state()
+        elapsed = (after.stamp_ns - before) // self._robot.spec.control_period_ns
+        self._total.add("reset", max(1, elapsed))
+        self.published(after.seq)
+        if result.outcome is ResetOutcome.FAILED:
+            log.warning("reset of %s failed: %s", self._robot.spec.name, result.message)
+        return {"outcome": str(result.outcome), "message": result.message}
+
+    def _hands_clear(self, body: bytes) -> Result:
+        self._require(unpack(Leased, body))
+        self._robot.driver.confirm_hands_clear()
+        return {}
+
+    def _clear_fault(self, body: bytes) -> Result:
+        name = unpack(ClearFaultRequest, body).name
+        self._robot.driver.clear_fault(name)
+        self._robot.keep_fault()
+        log.warning("fault %r of %s was cleared", name, self._robot.spec.name)
+        return {}
+
+    def _describe(self, scene: str) -> Any:
+        if self._fixed_scene is not None and scene != self._fixed_scene:
+            raise InvalidRequest(
+                f"{self._robot.spec.name} is served in scene {self._fixed_scene!r} only, not "
+                f"{scene!r:.40}; start its host with another --scene"
+            )
+        if scene != self._robot.scene:
+            self._slow()
+        return self._robot.describe(scene)
+
+    def _require(self, request: Leased) -> None:
+        if request.boot != self._boot:
+            raise LinkLost(
+                f"the host of {self._robot.spec.name} was started anew; open the robot again"
+            )
+        self._lease.require(request.token)
+
+    def _reply(self, error: Exception | None, result: Mapping[str, Any] | None = None) -> bytes:
+        reply = Reply(
+            ok=error is None,
+            error="" if error is None else type(error).__name__,
+            message="" if error is None else str(error)[:4000],
+            boot=self._boot,
+            seq=self._seq,
+            result={} if result is None else dict(result),
+        )
+        return pack(reply)

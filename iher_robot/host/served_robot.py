@@ -1,0 +1,173 @@
+"""The robot that a host serves: its driver for a scene, and what the host adds to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from drivers import ObjectPose, ObjectSource, RobotDriver, RobotSpec, RobotState
+from drivers.clock import Clock
+from drivers.errors import InvalidRequest
+from drivers.remote.messages import ObjectMessage
+from drivers.state import AppliedCommand
+from iher_robot.errors import UserError
+from iher_robot.host.memory import LatchedFault
+
+PERCEPTION = "perception"
+"""Source of poses that another publisher than the robot sends."""
+
+
+class ServedRobot:
+    """A driver, made anew for each scene, with one tick counter over all of them.
+
+    Every fault that its driver latches is written down, and is latched again by the next one.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[str], RobotDriver],
+        scene: str,
+        memory: LatchedFault,
+        perception: tuple[str, ...],
+        clock: Clock,
+    ) -> None:
+        """Make the driver of a scene, not yet open.
+
+        Args:
+            make: Makes a driver for a scene.
+            scene: The one to begin with.
+            memory: What the robot remembers.
+            perception: Objects whose poses come from another publisher.
+            clock: The host's.
+
+        Raises:
+            UserError: An object of perception that the robot does not have.
+        """
+        self._make = make
+        self._memory = memory
+        self._perception = frozenset(perception)
+        self._clock = clock
+        self._specs: dict[str, RobotSpec] = {}
+        self._seen: dict[str, tuple[ObjectMessage, int]] = {}
+        self.scene = scene
+        self.driver = make(scene)
+        self.spec = self._spec_of(self.driver)
+        missing = self._perception - self.spec.objects.keys()
+        if missing:
+            raise UserError(
+                f"perception of {', '.join(sorted(missing))} is asked for, objects of "
+                f"{self.spec.name}: {', '.join(sorted(self.spec.objects)) or 'none'}"
+            )
+        self._specs[scene] = self.spec
+        self._ahead = memory.ticks
+        self._latch_again()
+
+    def describe(self, scene: str) -> RobotSpec:
+        """Return the description of the robot in a scene.
+
+        Raises:
+            DriverError: There is no such scene.
+        """
+        if scene not in self._specs:
+            self._specs[scene] = self._spec_of(self._make(scene))
+        return self._specs[scene]
+
+    def use(self, scene: str) -> None:
+        """Change to another scene. The robot is held and disarmed afterwards.
+
+        Raises:
+            DriverError: There is no such scene, and the old one stays.
+        """
+        if scene == self.scene:
+            return
+        driver = self._make(scene)
+        self.driver.disarm()
+        last = self.state().seq
+        self.driver.close()
+        self.driver, self.scene, self.spec = driver, scene, self.describe(scene)
+        self._seen.clear()
+        self._latch_again()
+        self.driver.open()
+        self._ahead = last + 1 - self.driver.measure().seq
+
+    def open(self) -> None:
+        """Connect; the tick counter goes on where it was when the robot was last served."""
+        self.driver.open()
+        self._ahead = self._memory.ticks + 1 - self.driver.measure().seq
+
+    def close(self) -> None:
+        """Hold, disarm and disconnect."""
+        self.driver.close()
+
+    def answers(self, seq: int) -> int:
+        """Return a sequence as the driver counts."""
+        return seq - self._ahead
+
+    def state(self) -> RobotState:
+        """Return the newest state, as this host counts, with the poses that others sent."""
+        state = self.driver.measure()
+        applied = state.applied
+        if applied is not None:
+            command = dataclasses.replace(
+                applied.command, answers=applied.command.answers + self._ahead
+            )
+            applied = AppliedCommand(applied.tick + self._ahead, command, applied.clipped)
+        objects = {n: pose for n, pose in state.objects.items() if n not in self._perception}
+        objects |= {name: self._pose(name, state.stamp_ns) for name in self._seen}
+        return dataclasses.replace(
+            state, seq=state.seq + self._ahead, applied=applied, objects=objects
+        )
+
+    def see(self, name: str, message: ObjectMessage) -> None:
+        """Take the pose of an object from another publisher; older ones are dropped.
+
+        Raises:
+            InvalidRequest: Nobody asked for poses of this object, or it is not of this robot.
+        """
+        if name not in self._perception:
+            wanted = ", ".join(sorted(self._perception)) or "of none"
+            raise InvalidRequest(f"pose of {name!r:.40} is not asked for; poses wanted: {wanted}")
+        frame = self.spec.objects[name].frame
+        if message.frame != frame:
+            raise InvalidRequest(
+                f"pose of {name!r} is in frame {message.frame!r:.40}, allowed: {frame!r}"
+            )
+        for field, size in (("pos", 3), ("quat", 4), ("linvel", 3), ("angvel", 3)):
+            shape = getattr(message, field).shape
+            if shape != (size,):
+                raise InvalidRequest(f"{field} of {name!r} has shape {shape}, allowed: ({size},)")
+        known = self._seen.get(name)
+        if known is None or message.n > known[0].n:
+            self._seen[name] = (message, self._clock.now_ns())
+
+    def keep_fault(self) -> None:
+        """Write down the latched fault, if it has changed."""
+        self._memory.keep(self.driver.fault)
+
+    def _pose(self, name: str, now_ns: int) -> ObjectPose:
+        message, received_ns = self._seen[name]
+        age_ns = self._clock.now_ns() - received_ns + round(message.age_s * 1e9)
+        return ObjectPose(
+            pos=message.pos.copy(),
+            quat=message.quat.copy(),
+            linvel=message.linvel.copy(),
+            angvel=message.angvel.copy(),
+            stamp_ns=now_ns - age_ns,
+            source=PERCEPTION,
+            frame=message.frame,
+        )
+
+    def _spec_of(self, driver: RobotDriver) -> RobotSpec:
+        spec = driver.spec
+        objects = {
+            name: ObjectSource(PERCEPTION, source.frame, source.max_age_s)
+            if name in self._perception
+            else source
+            for name, source in spec.objects.items()
+        }
+        return dataclasses.replace(spec, objects=objects) if self._perception else spec
+
+    def _latch_again(self) -> None:
+        fault = self._memory.fault
+        if fault is not None:
+            self.driver.stop(fault.reason, fault.name)

@@ -1,0 +1,31 @@
+"""A simulated robot behind a host of its own, over loopback."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from drivers import RobotDriver
+from iher_robot.testing import DriverContract
+from tests.remote.served import ServedRobot
+
+
+class TestServedFetch(DriverContract):
+    real_time = True
+    several = False
+    kinds = ("joint",)
+    overshoot = 0.15  # that of the robot behind it
+    served: ClassVar[ServedRobot]
+
+    @pytest.fixture(scope="class", autouse=True)
+    @classmethod
+    def _host(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+        memory: Path = tmp_path_factory.mktemp("memory")
+        with ServedRobot(memory) as cls.served:
+            yield
+
+    def make_driver(self) -> RobotDriver:
+        return self.served.driver()

@@ -1,0 +1,69 @@
+"""Who may command a robot, and who has fallen silent."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers import LeaseRefused, SimulatedClock
+from iher_robot.host.lease import Deadman, HostLease
+
+
+@pytest.fixture
+def clock() -> SimulatedClock:
+    return SimulatedClock(10**9)
+
+
+@pytest.fixture
+def lease(clock: SimulatedClock) -> HostLease:
+    return HostLease("fetch", 2.0, clock)
+
+
+def test_a_second_client_is_refused_and_told_who_has_it(lease: HostLease) -> None:
+    lease.acquire("a", "ann@lab")
+    with pytest.raises(LeaseRefused, match="ann@lab"):
+        lease.acquire("b", "ben@lab")
+    lease.release()
+    lease.acquire("b", "ben@lab")
+
+
+def test_a_silent_client_loses_it_after_its_time_and_not_before(
+    lease: HostLease, clock: SimulatedClock
+) -> None:
+    token = lease.acquire("a", "ann")
+    clock.advance_ns(2 * 10**9)
+    assert not lease.expire(), "exactly its time is not past it"
+    lease.require(token)
+    clock.advance_ns(2 * 10**9)
+    assert not lease.expire(), "whoever was heard of begins anew"
+    clock.advance_ns(1)
+    assert lease.expire()
+    with pytest.raises(LeaseRefused, match="has ended"):
+        lease.require(token)
+
+
+def test_an_old_token_is_refused_also_from_the_client_that_has_the_new_one(
+    lease: HostLease,
+) -> None:
+    old = lease.acquire("a", "ann")
+    lease.n = 17
+    new = lease.acquire("a", "ann")
+    assert new > old, "tokens rise"
+    assert lease.n == 0, "commands are numbered anew under each lease"
+    with pytest.raises(LeaseRefused):
+        lease.require(old)
+    lease.require(new)
+
+
+def test_no_lease_is_not_a_lease_with_the_token_0(lease: HostLease) -> None:
+    with pytest.raises(LeaseRefused):
+        lease.require(0)
+
+
+def test_the_deadman_trips_past_its_limit(clock: SimulatedClock) -> None:
+    deadman = Deadman(0.2, clock)
+    clock.advance_ns(200_000_000)
+    assert not deadman.tripped
+    clock.advance_ns(1)
+    assert deadman.tripped
+    deadman.heard()
+    assert not deadman.tripped

@@ -1,0 +1,63 @@
+"""What a robot remembers over restarts of its host."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.gate import Fault
+from iher_robot import UserError
+from iher_robot.host.memory import LatchedFault, RobotTotal
+
+
+def test_a_fault_is_remembered_until_it_is_cleared(tmp_path: Path) -> None:
+    LatchedFault(tmp_path).keep(Fault("emergency_stop", "someone walked in", 5))
+    remembered = LatchedFault(tmp_path).fault
+    assert remembered is not None
+    assert (remembered.name, remembered.reason) == ("emergency_stop", "someone walked in")
+    LatchedFault(tmp_path).keep(None)
+    assert LatchedFault(tmp_path).fault is None
+
+
+def test_the_tick_counter_never_goes_back(tmp_path: Path) -> None:
+    memory = LatchedFault(tmp_path)
+    for tick in (1, 2, 99_999, 100_000, 250_000):
+        memory.count(tick)
+        assert LatchedFault(tmp_path).ticks > tick, "a ceiling is written before it is reached"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"ticks": 3}', '{"ticks": "3", "fault": null}', '{"ticks": 1, "fault": 2}']
+)
+def test_a_damaged_memory_is_no_robot_without_faults(tmp_path: Path, text: str) -> None:
+    (tmp_path / "robot.json").write_text(text)
+    with pytest.raises(UserError, match=r"robot\.json is damaged"):
+        LatchedFault(tmp_path)
+
+
+def test_ticks_are_counted_over_restarts(tmp_path: Path) -> None:
+    with RobotTotal(tmp_path, "fetch") as total:
+        total.begin()
+        for _ in range(120):
+            total.tick()
+        total.end()
+        total.add("reset", 7)
+        assert total.spent()["motion"] == 120
+    with RobotTotal(tmp_path, "fetch") as total:
+        assert (total.spent()["motion"], total.spent()["reset"]) == (120, 7)
+
+
+def test_a_crash_counts_too_much_and_never_too_little(tmp_path: Path) -> None:
+    total = RobotTotal(tmp_path, "fetch")
+    total.begin()
+    for _ in range(60):
+        total.tick()
+    total._ledger.close()  # as when the process dies: nothing is settled
+    with RobotTotal(tmp_path, "fetch") as again:
+        assert 60 <= again.spent()["motion"] <= 100
+
+
+def test_two_hosts_of_one_robot_are_refused(tmp_path: Path) -> None:
+    with RobotTotal(tmp_path, "fetch"), pytest.raises(UserError, match="served by another process"):
+        RobotTotal(tmp_path, "fetch")
