@@ -20,11 +20,11 @@ from drivers import DriverError, RobotDriver, make_driver
 from drivers.clock import MonotonicClock
 from drivers.gate import Fault
 from iher_robot.errors import UserError
+from iher_robot.host.access import gateway_config
 from iher_robot.host.channel import Channel, channel_ends
 from iher_robot.host.gateway import Gateway
 from iher_robot.host.loop import ControlLoop
 from iher_robot.host.memory import LatchedFault, RobotTotal
-from iher_robot.host.access import gateway_config
 from iher_robot.host.security import read_security
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
@@ -37,8 +37,10 @@ _LOOK_S = 0.02
 _START_S = 120.0
 _END_S = 5.0
 _READY = b""
-FIRST_SCENE = "push"
-"""Where a host begins that serves any scene."""
+_LOOP_PRIORITY = 20
+_GATEWAY_PRIORITY = 10
+_SCENES = ("push", "reach", "pick_and_place", "slide")
+"""Where a host may begin that serves any scene: the first that its driver has."""
 
 
 class HostFailed(UserError):
@@ -173,12 +175,13 @@ def run_robot(
         starter: Told what is wrong, nothing if the robot is ready to be served.
     """
     _leave_signals_to_the_watchdog()
+    _run_before_others(_LOOP_PRIORITY)
     clock = MonotonicClock()
     try:
         memory = LatchedFault(settings.memory_path)
         with RobotTotal(settings.memory_path, settings.name) as total:
             make = partial(_make_served, settings)
-            scene = settings.scene or FIRST_SCENE
+            scene = settings.scene or _first_scene(make)
             robot = ServedRobot(make, scene, memory, settings.perception, clock)
             loop = ControlLoop(settings, robot, total, memory, Channel(end), vitals, clock)
             loop.run(lambda: _say(starter, _READY))
@@ -195,6 +198,7 @@ def run_gateway(
     """Be the gateway; see `run_robot`."""
     del vitals
     _leave_signals_to_the_watchdog()
+    _run_before_others(_GATEWAY_PRIORITY)
     try:
         security = read_security(settings.security_path)
         config = gateway_config(settings.name, settings.listen, security, settings.insecure)
@@ -219,6 +223,19 @@ def _say(starter: Connection, problem: bytes) -> None:
     starter.close()
 
 
+def _first_scene(make: Callable[[str], RobotDriver]) -> str:
+    refused: ValueError | None = None
+    for scene in _SCENES:
+        try:
+            make(scene)
+        except ValueError as error:  # InvalidSpec, UserError: what a factory refuses a scene with
+            refused = refused or error
+        else:
+            return scene
+    assert refused is not None
+    raise refused
+
+
 def _make_served(settings: HostSettings, scene: str) -> RobotDriver:
     driver = make_driver(settings.driver, **({"scene": scene} | dict(settings.options)))
     spec = driver.spec
@@ -230,6 +247,14 @@ def _make_served(settings: HostSettings, scene: str) -> RobotDriver:
     if driver.exclusive and not spec.physical:
         raise UserError(f"driver {settings.driver!r} is itself a remote one; serve the robot there")
     return driver
+
+
+def _run_before_others(priority: int) -> None:
+    """Ask for real-time scheduling: a tick must not wait for whatever else computes here."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    except PermissionError:  # usual without rights of its own; the ticks are a little less even
+        log.info("no real-time scheduling: the system does not permit it")
 
 
 def _leave_signals_to_the_watchdog() -> None:

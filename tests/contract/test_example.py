@@ -16,6 +16,7 @@ from examples.line_robot import LineRobot
 from iher_robot import GoalRobotEnv, make_task
 from iher_robot.testing import DriverContract
 from iher_robot.testing.suite import ContractSuite
+from tests.remote.served import ServedRobot
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "line_robot.py"
@@ -75,14 +76,7 @@ except ValueError as error:
 
 
 def test_the_example_is_found_by_its_entry_point(tmp_path: Path) -> None:
-    project = tomllib.loads(code_blocks("toml")[0])["project"]
-    info = tmp_path / "line_robot-0.1.0.dist-info"
-    info.mkdir()
-    metadata = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    (info / "METADATA").write_text(metadata)
-    for group, entries in project["entry-points"].items():
-        lines = [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
-        (info / "entry_points.txt").write_text("\n".join(lines))
+    install_example(tmp_path)
     done = run("-c", SCRIPT, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
@@ -91,13 +85,41 @@ def test_the_example_is_found_by_its_entry_point(tmp_path: Path) -> None:
     ]
 
 
+def test_the_example_is_served_by_its_entry_point(tmp_path: Path) -> None:
+    install_example(tmp_path)
+    served = ServedRobot(tmp_path / "memory", "--driver", "line", path=python_path(tmp_path))
+    with served:
+        driver = served.driver("reach", robot="line")
+        assert driver.spec.to_dict() == LineRobot().spec.to_dict()
+        with GoalRobotEnv(driver, make_task("reach")) as env:
+            obs, _ = env.reset(seed=0)
+            for _ in range(25):
+                obs, _, _, _, info = env.step(towards(obs["desired_goal"], obs["achieved_goal"]))
+            assert info["is_success"]
+
+
+def install_example(folder: Path) -> None:
+    """Do what installing the example's package does."""
+    project = tomllib.loads(code_blocks("toml")[0])["project"]
+    info = folder / "line_robot-0.1.0.dist-info"
+    info.mkdir()
+    metadata = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    (info / "METADATA").write_text(metadata)
+    for group, entries in project["entry-points"].items():
+        lines = [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+
+
+def python_path(folder: Path) -> str:
+    return os.pathsep.join(map(str, (folder, EXAMPLE.parent, ROOT)))
+
+
 def run(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run Python in a folder, as an author of a driver would."""
-    path = os.pathsep.join(map(str, (folder, EXAMPLE.parent, ROOT)))
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": python_path(folder)},
         capture_output=True,
         text=True,
         check=False,

@@ -33,11 +33,14 @@ class ServedRobot:
         output: Lines that it printed.
     """
 
-    def __init__(self, memory: Path, *options: str, port: int | None = None) -> None:
+    def __init__(
+        self, memory: Path, *options: str, port: int | None = None, path: str = ""
+    ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port() if port is None else port}"
         self.memory = memory
         self.output: list[str] = []
         self._options = options
+        self._path = path or os.environ.get("PYTHONPATH", "")
         self._process: subprocess.Popen[str] | None = None
 
     @property
@@ -60,7 +63,11 @@ class ServedRobot:
         command = [sys.executable, "-m", "iher_robot", "serve", "--listen", self.endpoint]
         command += ["--memory", str(self.memory), *self._options]
         self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            command,
+            env={**os.environ, "PYTHONPATH": self._path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         ready = threading.Event()
         threading.Thread(target=self._read, args=(ready,), daemon=True).start()
