@@ -130,6 +130,11 @@ class RobotDriver(RobotHooks):
         return self._gate.fault
 
     @property
+    def disarmed_because(self) -> str:
+        """Why the robot's side closed the gate by itself, empty if it did not."""
+        return ""
+
+    @property
     def refusals(self) -> Mapping[Refusal, int]:
         """How many commands were refused, by reason, since construction."""
         return self._gate.refusals

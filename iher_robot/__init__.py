@@ -51,6 +51,7 @@ from iher_robot.registration import register_envs  # noqa: E402
 from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task  # noqa: E402
 
 if TYPE_CHECKING:
+    from iher_robot.deploy import DeployResult, deploy
     from iher_robot.evaluate import EvaluationResult, evaluate
     from iher_robot.train import TrainResult, resume, train
 
@@ -60,6 +61,7 @@ __all__ = [
     "AppliedCommand",
     "Box",
     "Command",
+    "DeployResult",
     "DriverError",
     "EndEffectorCommand",
     "EvaluationResult",
@@ -89,6 +91,7 @@ __all__ = [
     "TaskError",
     "TrainResult",
     "UserError",
+    "deploy",
     "evaluate",
     "make_driver",
     "make_env",
@@ -98,11 +101,13 @@ __all__ = [
     "train",
 ]
 
-# These need torch, which takes seconds to load. `train` and `evaluate` are modules that can be
-# called: see callable_module.py.
+# These need torch, which takes seconds to load. `train`, `deploy` and `evaluate` are modules
+# that can be called: see callable_module.py.
 _LAZY = {
+    "DeployResult": "iher_robot.deploy",
     "EvaluationResult": "iher_robot.evaluate",
     "TrainResult": "iher_robot.train",
+    "deploy": "iher_robot.deploy",
     "evaluate": "iher_robot.evaluate",
     "resume": "iher_robot.train",
     "train": "iher_robot.train",

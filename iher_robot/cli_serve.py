@@ -11,7 +11,7 @@ from iher_robot.cli_options import DriverOption, RobotOption
 
 
 def serve(
-    driver: DriverOption = "mujoco",
+    driver: DriverOption = None,
     robot: RobotOption = None,
     name: Annotated[
         str | None,

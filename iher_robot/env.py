@@ -347,7 +347,8 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         if tick.acceptance is not None and tick.acceptance.refusal in _GATE_CLOSED:
             reason = tick.acceptance.message
         elif not self.driver.is_armed:
-            reason = "the robot was disarmed during the tick"
+            because = self.driver.disarmed_because
+            reason = "the robot was disarmed during the tick" + ": " * bool(because) + because
         elif self._invalid.too_many:
             reason = f"{self._invalid.count} invalid ticks, allowed: {self._invalid.allowed}"
             reason += "; " * bool(self._held_because) + self._held_because

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 
-from drivers import DriverError, FaultLatched, LeaseRefused, LinkLost
+from drivers import DriverError, FaultLatched, LeaseRefused, LinkLost, StaleState
 from iher_robot.collect import Recorder, run_episode
 from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeStore
@@ -87,4 +87,4 @@ class RobotEpisodes:
     def _may_come_back(self, error: DriverError) -> bool:
         if isinstance(error, FaultLatched):  # of a robot of this process alone, nobody clears it
             return self._env.driver.exclusive or self._env.robot_spec.physical
-        return isinstance(error, LinkLost | LeaseRefused)
+        return isinstance(error, LinkLost | LeaseRefused | StaleState)

@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.registry import make_holder
 from drivers.remote.keys import robot_key
 from iher_robot.callable_module import make_module_callable
-from iher_robot.chosen_robot import DEFAULT_DRIVER, choose_robot
+from iher_robot.chosen_robot import REMOTE_DRIVER, choose_robot
 from iher_robot.errors import UserError
 from iher_robot.host.processes import Host
 from iher_robot.host.settings import HostSettings
@@ -19,7 +19,7 @@ DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 
 def serve(
     *,
-    driver: str = DEFAULT_DRIVER,
+    driver: str | None = None,
     robot: str | None = None,
     name: str | None = None,
     listen: Sequence[str] = DEFAULT_LISTEN,
@@ -35,7 +35,7 @@ def serve(
     """Serve a robot until an interrupt; it is left held and disarmed.
 
     Args:
-        driver: Name of the driver that moves it.
+        driver: Name of the driver that moves it; what the robot file names, or mujoco, where None.
         robot: Name of a robot, or the path of a YAML file; the driver's default where None.
         name: Name on the network; that of the robot or of the driver where None.
         listen: Zenoh endpoints.
@@ -52,19 +52,19 @@ def serve(
     Raises:
         UserError: Bad input, or the host ended by itself.
     """
-    if driver == "zenoh":
+    chosen = choose_robot(driver, robot)
+    if chosen.driver == REMOTE_DRIVER:
         raise UserError(
             "driver is 'zenoh', which reaches a robot that is served already; name the driver that "
             "moves it, such as mujoco"
         )
-    chosen = choose_robot(driver, robot)
-    served = name or _served_name(chosen.name, driver)
+    served = name or _served_name(chosen.name, chosen.driver)
     robot_key(served)
     if not 0.0 < deadman_s <= 10.0:
         raise UserError(f"deadman is {deadman_s} s, allowed: above 0 and up to 10 s")
     settings = HostSettings(
         name=served,
-        driver=driver,
+        driver=chosen.driver,
         options=dict(chosen.options),
         listen=tuple(listen),
         memory_path=_state_folder() / served if memory is None else memory,
@@ -75,7 +75,7 @@ def serve(
         perception=tuple(perception),
         deadman_s=deadman_s,
     )
-    host = Host(settings, make_holder(driver, **settings.options))
+    host = Host(settings, make_holder(chosen.driver, **settings.options))
     try:
         host.start()
         echo(

@@ -532,10 +532,12 @@ def test_an_aborted_episode_fails_and_the_next_one_is_run(
 ) -> None:
     monkeypatch.setattr(iher_robot.env.GoalRobotEnv, "_abort_if_lost", _abort_at(robot, 10))
     said: list[str] = []
-    result = run(policy, echo=said.append)
+    # Whatever the operator would say of it.
+    result = run(policy, label=True, ask=lambda _: "y", echo=said.append)
 
     assert [record.ticks for record in result.episodes] == [10, TICKS]
-    assert (result.aborted, result.episodes[0].success) == (1, False)
+    assert [record.success for record in result.episodes] == [False, True]
+    assert (result.aborted, result.episodes[0].operator_success) == (1, None)
     assert "episode 1 of 2: too slow, 10 ticks" in said
     assert "aborted 1 of 2, which count as failures" in result.summary()
     assert "too slow" in ticks()[9]["error"]

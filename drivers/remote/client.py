@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import threading
 import time
@@ -46,6 +47,8 @@ class RobotClient:
         self._session = open_session(options)
         self._commands = real_time_publisher(self._session, self._key("cmd"))
         self._stops = real_time_publisher(self._session, self._key("stop"))
+        # A thread that waits for Zenoh while the interpreter ends would take the process with it.
+        atexit.register(self.close)
         self._states: zenoh.Subscriber[Any] | None = None
         self._listener: threading.Thread | None = None
         self._alive: zenoh.LivelinessToken | None = None
@@ -95,7 +98,7 @@ class RobotClient:
                 payload=pack(message),
                 timeout=limit_s,
                 priority=zenoh.Priority.REAL_TIME,
-                congestion_control=zenoh.CongestionControl.DROP,
+                congestion_control=zenoh.CongestionControl.BLOCK,
                 express=True,
             )
             answer = next((reply.ok for reply in replies if reply.ok is not None), None)
@@ -155,6 +158,7 @@ class RobotClient:
 
     def close(self) -> None:
         """End the session; twice does nothing."""
+        atexit.unregister(self.close)
         self._session.close()
         if self._listener is not None and self._listener is not threading.current_thread():
             self._listener.join(timeout=1.0)

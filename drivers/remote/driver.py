@@ -163,8 +163,13 @@ class ZenohDriver(RobotDriver):
         if self._counted_before is None:
             self._counted_before = (Counter(first[1].refusals), Counter(first[1].clips))
         fault = self.fault
-        if fault is not None and first[1].fault is None:
+        if fault is None or first[1].fault is not None:
+            return
+        if self._confirmed_stop is None:
             self._confirm_stop(client, fault)
+        else:  # the host knew of it, and an operator has cleared it since
+            self._confirmed_stop = None
+            self._gate.clear(fault.name)
 
     def _close(self) -> None:
         client, self._client = self._client, None

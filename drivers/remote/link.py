@@ -32,6 +32,8 @@ POINT_TO_POINT: Mapping[str, object] = {
     "scouting/gossip/enabled": False,
     "transport/link/protocols": ["tcp", "tls"],
     "transport/link/tx/lease": 1000,
+    # A request waits for room, but not for long: then the link is given up.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
     "transport/link/rx/max_message_size": 2 * MAX_BYTES,
     "transport/shared_memory/enabled": False,
 }

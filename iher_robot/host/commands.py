@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
+
+import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DriverError, InvalidCommand
@@ -13,6 +15,7 @@ from iher_robot.host.lease import Deadman, HostLease
 from iher_robot.host.served_robot import ServedRobot
 
 _REMEMBERED = 64
+_TIMED_COMMANDS = 1500
 
 
 class CommandDesk:
@@ -49,6 +52,7 @@ class CommandDesk:
         self._clock = clock
         self._age_ticks = age_ticks
         self._published: dict[int, int] = {}
+        self._answered_ms: deque[float] = deque(maxlen=_TIMED_COMMANDS)
         self._refused: Counter[str] = Counter()
 
     @property
@@ -56,6 +60,15 @@ class CommandDesk:
         """Commands refused by host and driver, by reason."""
         driver = {str(reason): n for reason, n in self._robot.driver.refusals.items()}
         return dict(self._refused + Counter(driver))
+
+    def timing(self) -> dict[str, float]:
+        """Return how long the last states waited for the commands that answer them, in `status`."""
+        answered = np.percentile(self._answered_ms, [50, 99]) if self._answered_ms else (0.0, 0.0)
+        return {
+            "answer_p50_ms": float(answered[0]),
+            "answer_p99_ms": float(answered[1]),
+            "answers_timed": len(self._answered_ms),
+        }
 
     def published(self, seq: int) -> None:
         """Note that a state was published now, so that commands may answer it."""
@@ -92,6 +105,8 @@ class CommandDesk:
         if message.kind == "hold":
             return
         age_ns = self._clock.now_ns() - self._published.get(message.answers, -(10**18))
+        if message.answers in self._published:
+            self._answered_ms.append(age_ns / 1e6)
         if age_ns > self._age_ticks * self._robot.spec.control_period_ns:
             self.refuse("expired")
             return

@@ -23,6 +23,7 @@ _WAITING = 4096
 _REQUESTS = 256
 _COMMAND_BYTES = 8192
 _TELL_AFTER = 64
+_END_S = 1.0
 
 
 class Gateway:
@@ -48,6 +49,7 @@ class Gateway:
         self._queries: dict[int, zenoh.Query] = {}
         self._asked = 0
         self._lock = threading.Lock()
+        self._threads: list[threading.Thread] = []
         self._states = real_time_publisher(session, self._key("state"))
         self._faults = real_time_publisher(session, self._key("fault"))
         self._alive = session.liveliness().declare_token(self._key("alive", "host"))
@@ -76,6 +78,9 @@ class Gateway:
                 self._faults.put(note.body)
             elif note.kind == "reply":
                 self._reply(note.number, note.name, note.body)
+        self._session.close()  # which ends what waits for it
+        for thread in self._threads:
+            thread.join(_END_S)
 
     def _command(self, sample: zenoh.Sample) -> None:
         body = sample.payload.to_bytes()
@@ -153,7 +158,9 @@ class Gateway:
             return  # the session was closed
 
     def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:
-        threading.Thread(target=target, args=arguments, daemon=True, name=name).start()
+        thread = threading.Thread(target=target, args=arguments, daemon=True, name=name)
+        thread.start()
+        self._threads.append(thread)
 
     def _key(self, *parts: str) -> str:
         return robot_key(self._robot, *parts)

@@ -232,4 +232,4 @@ class ControlLoop:
             "tick_late_p50_ms": float(late[0]),
             "tick_late_p99_ms": float(late[1]),
             "tick_overruns": self._overruns,
-        }
+        } | self._desk.timing()

@@ -67,6 +67,7 @@ class HostSecurity(_Section):
 
 
 _ROLES = tuple(Roles.model_fields)
+_SECTIONS: Mapping[str, type[BaseModel]] = {"tls": TlsFiles, "roles": Roles}
 
 
 def read_security(path: Path | None) -> HostSecurity | None:
@@ -184,9 +185,7 @@ def _sentence(detail: Mapping[str, object]) -> str:
     if not path:
         return reason
     if detail["type"] == "extra_forbidden":
-        section: type[BaseModel] = {"tls": TlsFiles, "roles": Roles}.get(path[0], HostSecurity)
-        if len(path) == 1:
-            section = HostSecurity
+        section = _SECTIONS[path[0]] if len(path) > 1 else HostSecurity
         names = [".".join((*path[:-1], name)) for name in section.model_fields]
         return unknown("security setting", key, names)
     return f"{key} is {detail['input']!r}: {reason[0].lower()}{reason[1:]}"

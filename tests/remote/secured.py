@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -169,7 +170,7 @@ def goes_through(host: FakeHost, client: zenoh.Session, patience_s: float = PATI
     for name in ("cmd", "object/object0", "state", "fault", "rpc/spec", "stop"):
         client.put(key(*name.split("/")), b"put")
     for name in sorted(REQUESTS, key=("ping", "spec", "status", "stop").__contains__):
-        client.get(key("rpc", name), lambda reply, name=name: _note(reply, name, answered))
+        client.get(key("rpc", name), partial(_note, name, answered))
 
     def publish_until_seen() -> bool:
         host.session.put(key("state"), b"state")
@@ -184,7 +185,7 @@ def goes_through(host: FakeHost, client: zenoh.Session, patience_s: float = PATI
     return put | {f"rpc {name}" for name in answered} | ({"state"} if b"state" in states else set())
 
 
-def _note(reply: zenoh.Reply, name: str, answered: set[str]) -> None:
+def _note(name: str, answered: set[str], reply: zenoh.Reply) -> None:
     if reply.ok is not None and reply.ok.payload.to_bytes() == b"host":
         answered.add(name)
 

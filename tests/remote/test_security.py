@@ -49,22 +49,22 @@ def host(request: pytest.FixtureRequest, folder: Path) -> Iterator[FakeHost]:
         yield host
 
 
-def test_the_roles_cover_every_request():
+def test_the_roles_cover_every_request() -> None:
     assert {f"rpc {name}" for name in REQUESTS} <= MAY["operator"]
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_a_role_gets_through_exactly_what_it_may(host: FakeHost, role: str):
+def test_a_role_gets_through_exactly_what_it_may(host: FakeHost, role: str) -> None:
     with open_session(host.site.options(role)) as client:
         assert goes_through(host, client) == MAY[role]
 
 
-def test_who_has_no_role_gets_nothing_through(host: FakeHost):
+def test_who_has_no_role_gets_nothing_through(host: FakeHost) -> None:
     with open_session(host.site.options(host.site.stranger)) as client:
         assert goes_through(host, client, patience_s=0.3) == set()
 
 
-def test_who_cannot_log_in_has_no_link(host: FakeHost, folder: Path):
+def test_who_cannot_log_in_has_no_link(host: FakeHost, folder: Path) -> None:
     endpoint = host.site.endpoint
     if endpoint.startswith("tls/"):
         refused = [forged_options(folder, endpoint)]
@@ -81,11 +81,11 @@ def test_who_cannot_log_in_has_no_link(host: FakeHost, folder: Path):
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
-def test_another_spelling_of_a_key_opens_nothing(host: FakeHost, mode: str):
+def test_another_spelling_of_a_key_opens_nothing(host: FakeHost, mode: str) -> None:
     with connect(host.site.options("viewer"), mode) as viewer:
         host.received.clear()
         host.asked.clear()
-        for pattern in ("*", "rpc/*", "rpc/a*", "**/arm", "rpc/arm/**"):
+        for pattern in ("*", "rpc/*", "rpc/a$*", "**/arm", "rpc/arm/**"):
             viewer.get(f"{key()}/{pattern}", lambda reply: None)
         for pattern in ("*", "**", "cmd/**", "object/*", "*/object0"):
             viewer.put(f"{key()}/{pattern}", b"")
@@ -103,11 +103,11 @@ def test_another_spelling_of_a_key_opens_nothing(host: FakeHost, mode: str):
 # An attacker may run Zenoh as he likes; for a `client`, a host would pass on messages.
 @pytest.mark.parametrize("mode", ["peer", "client"])
 class TestClientsOfOneHost:
-    def test_cannot_pass_for_it_with_a_state(self, host: FakeHost, mode: str):
+    def test_cannot_pass_for_it_with_a_state(self, host: FakeHost, mode: str) -> None:
         with _two(host, mode) as (viewer, victim):
             assert _states_heard(host, viewer, victim) == {b"of the host"}
 
-    def test_cannot_answer_for_it(self, host: FakeHost, mode: str):
+    def test_cannot_answer_for_it(self, host: FakeHost, mode: str) -> None:
         with _two(host, mode) as (viewer, victim):
             declared = [
                 viewer.declare_queryable(key("rpc", name), lambda q: q.reply(q.key_expr, b"viewer"))
@@ -124,7 +124,7 @@ class TestClientsOfOneHost:
             assert answers == [b"host"]
             assert declared
 
-    def test_cannot_stand_in_for_its_life(self, host: FakeHost, mode: str):
+    def test_cannot_stand_in_for_its_life(self, host: FakeHost, mode: str) -> None:
         def lives(name: str) -> bool:
             return any(reply.ok for reply in victim.liveliness().get(key("alive", name)))
 
@@ -137,22 +137,22 @@ class TestClientsOfOneHost:
                 assert eventually(lambda: not lives("host"))
             finally:
                 host.alive = host.session.liveliness().declare_token(key("alive", "host"))
-            assert token
+            token.undeclare()
 
-    def test_show_it_that_they_live(self, host: FakeHost, mode: str):
+    def test_show_it_that_they_live(self, host: FakeHost, mode: str) -> None:
         with _two(host, mode) as (viewer, _):
             token = viewer.liveliness().declare_token(key("alive", "somebody"))
             assert eventually(lambda: any(host.session.liveliness().get(key("alive", "somebody"))))
-            assert token
+            token.undeclare()
 
 
-def test_access_control_is_what_stops_a_false_state(folder: Path):
+def test_access_control_is_what_stops_a_false_state(folder: Path) -> None:
     host = FakeHost(password_site(folder), access_control=False)
     with host, _two(host, "client") as (viewer, victim):
         assert b"false" in _states_heard(host, viewer, victim)
 
 
-def test_without_security_anybody_commands_and_nobody_passes_for_the_host():
+def test_without_security_anybody_commands_and_nobody_passes_for_the_host() -> None:
     with FakeHost(open_site()) as host:
         with open_session(host.site.options("")) as client:
             assert goes_through(host, client) == MAY["operator"]
