@@ -13,6 +13,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from iher_robot import DriverError, TaskError, UserError, __version__
+from iher_robot.cli_certs import certs
+from iher_robot.cli_deploy import deploy
 from iher_robot.cli_evaluate import evaluate
 from iher_robot.cli_interrupts import Stopped
 from iher_robot.cli_serve import serve
@@ -53,7 +55,7 @@ def options(
     """Take the options that stand before the command."""
 
 
-for _command in (train, evaluate, view, serve):
+for _command in (train, evaluate, view, serve, deploy, certs):
     app.command()(_command)
 
 

@@ -244,6 +244,7 @@ class ZenohDriver(RobotDriver):
             token=self._lease.token,
             objects={name: list(map(float, place)) for name, place in request.objects.items()},
             seed=request.seed,
+            speed=self._speed_limit,
         )
         reply = client.request("reset", message, self.options.reset_timeout_s)
         self._wait(lambda state, _: state.seq > reply.seq, "a state after the reset")

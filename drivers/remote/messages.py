@@ -10,6 +10,7 @@ from pydantic import Field
 from drivers.command import Command, EndEffectorCommand, JointCommand
 from drivers.wire import Array, Count, Message, Name, Text, WireError, check, unpack_map
 
+Speed = Annotated[float, Field(gt=0, le=1)]
 Time = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
@@ -167,7 +168,7 @@ class Leased(Message):
 class ArmRequest(Leased):
     """Open the command gate."""
 
-    speed: Annotated[float, Field(gt=0, le=1)] = 1.0
+    speed: Speed = 1.0
     """Share of full speed."""
 
 
@@ -176,6 +177,8 @@ class ResetMessage(Leased):
 
     objects: dict[Name, list[float]]
     seed: Count
+    speed: Speed = 1.0
+    """Share of full speed of the way home."""
 
 
 class StopRequest(Message):

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 SLOW_S = 120.0
 """Longest time that a reset, or loading a scene, may take before the watchdog intervenes."""
-_FROZEN_S = 0.2
+_FROZEN_S = 0.5
 """Beyond its tick the loop may be late by this much before the watchdog intervenes."""
 _UNWATCHED_S = 1.0
 """Without a watchdog for this long nothing may move."""

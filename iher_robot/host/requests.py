@@ -197,6 +197,7 @@ class RequestDesk:
                 raise InvalidRequest(f"{name!r} is placed at {place!r:.60}, allowed: [x, y] in m")
             places[name] = (place[0], place[1])
         self._slow()
+        self._robot.driver.limit_speed(request.speed)
         before = self._robot.state().stamp_ns
         result = self._robot.driver.reset(ResetRequest(places, request.seed))
         self._desk.forget()
