@@ -91,7 +91,7 @@ class RobotClient:
             DriverError: What the host says went wrong, of the type that it names.
         """
         limit_s = self.options.timeout_s if timeout_s is None else timeout_s
-        key = self._key("rpc", name)
+        key, begun = self._key("rpc", name), time.monotonic()
         try:
             replies = self._session.get(
                 key,
@@ -105,6 +105,12 @@ class RobotClient:
         except zenoh.ZError as error:
             raise LinkLost(f"{self._robot} cannot be asked for {name}: {error}") from error
         if answer is None:
+            waited_s = time.monotonic() - begun
+            if waited_s < limit_s:
+                raise LinkLost(
+                    f"{self._robot} does not answer {name}: its host is gone, or does not allow it "
+                    "to these credentials"
+                )
             raise LinkLost(
                 f"{self._robot} does not answer {name} within {limit_s:g} s; see that its host "
                 "runs, and measure the link with: iher-robot doctor"
