@@ -4,6 +4,7 @@
 # make test                           the test suite; ARGS="-k name" selects
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine, with medians (bench/throughput.py)
+# make bench-link                     round trips and ticks of a served robot (bench/link.py)
 # make clean                          remove the environment, builds and caches; never runs/
 
 TASK ?= push
@@ -17,7 +18,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench format clean
+.PHONY: train install test check bench bench-link format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -36,6 +37,9 @@ check: .venv/dev
 
 bench: .venv/dev
 	OMP_NUM_THREADS=1 $(BIN)/python bench/throughput.py $(ARGS)
+
+bench-link: .venv/dev
+	$(BIN)/python bench/link.py $(ARGS)
 
 format: .venv/dev
 	$(BIN)/ruff format .

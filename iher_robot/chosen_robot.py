@@ -15,6 +15,8 @@ from iher_robot.errors import UserError
 
 DEFAULT_DRIVER = "mujoco"
 REMOTE_DRIVER = "zenoh"
+OWN_ROBOT_FILE = "robot.yaml"
+"""A user's own robot, in the working folder."""
 
 # Of a driver not in here: its own defaults.
 _DEFAULT_ROBOTS = {DEFAULT_DRIVER: "fetch", REMOTE_DRIVER: "fetch"}
@@ -123,6 +125,19 @@ def choose_robot(
         layer = robot_layer(name)
         options = _checked(layer.origin, layer.values)
     return ChosenRobot(chosen, name, options)
+
+
+def choose_own_robot(
+    driver: str | None, robot: str | None, connect: Sequence[str] = ()
+) -> ChosenRobot:
+    """Read the file of the robot that a command for real robots means.
+
+    Where neither driver nor robot is given it is ``robot.yaml`` in this folder, if there is one,
+    else ``fetch`` on the network; the arguments and errors are those of `choose_robot`.
+    """
+    if driver is None and robot is None and Path(OWN_ROBOT_FILE).is_file():
+        robot = OWN_ROBOT_FILE
+    return choose_robot(driver, robot, connect, default_driver=REMOTE_DRIVER)
 
 
 def _checked(origin: str, values: Mapping[Any, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from iher_robot.cli_certs import certs
 from iher_robot.cli_deploy import deploy
 from iher_robot.cli_evaluate import evaluate
 from iher_robot.cli_interrupts import Stopped
+from iher_robot.cli_operate import clear_fault, doctor, home, stop
 from iher_robot.cli_serve import serve
 from iher_robot.cli_train import train
 from iher_robot.cli_view import view
@@ -55,7 +56,7 @@ def options(
     """Take the options that stand before the command."""
 
 
-for _command in (train, evaluate, view, serve, deploy, certs):
+for _command in (train, evaluate, view, serve, deploy, doctor, home, stop, clear_fault, certs):
     app.command()(_command)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from iher_robot.callable_module import make_module_callable
-from iher_robot.chosen_robot import REMOTE_DRIVER, ChosenRobot, choose_robot
+from iher_robot.chosen_robot import choose_own_robot
 from iher_robot.deployment import Deployment
 from iher_robot.deployment_log import EpisodeRecord
 from iher_robot.deployment_operator import Ask, Operator
@@ -16,9 +16,6 @@ from iher_robot.deployment_plan import make_plan
 from iher_robot.errors import UserError
 from iher_robot.evaluate import rate_with_interval
 from iher_robot.policy_fit import load_actor
-
-ROBOT_FILE = "robot.yaml"
-"""A user's own robot, which is used where none is named."""
 
 Echo = Callable[[str], None]
 
@@ -145,7 +142,7 @@ def deploy(
         _require_script(yes=yes, label=label)
     deployment = Deployment(
         actor=load_actor(policy, task),
-        robot=_choose(driver, robot, connect),
+        robot=choose_own_robot(driver, robot, connect),
         operator=operator,
         say=echo,
         episodes=episodes,
@@ -197,12 +194,6 @@ def _require_script(*, yes: bool, label: bool) -> None:
         )
     if label:
         raise UserError("there is no terminal to ask for labels; leave out --label")
-
-
-def _choose(driver: str | None, robot: str | None, connect: Sequence[str]) -> ChosenRobot:
-    if driver is None and robot is None and Path(ROBOT_FILE).is_file():
-        robot = ROBOT_FILE
-    return choose_robot(driver, robot, connect, default_driver=REMOTE_DRIVER)
 
 
 make_module_callable(__name__)

@@ -12,6 +12,7 @@ from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.homing import joints_outside, metres_from_home
+from iher_robot.latched import latched_sentence
 from iher_robot.policy_fit import Actor, body_differences, check_fit
 
 ACCEPT_BODY = "--accept-body"
@@ -204,10 +205,7 @@ def fault_sentence(driver: RobotDriver) -> str | None:
     fault = driver.fault
     if fault is None:
         return None
-    return (
-        f"{driver.spec.name} is stopped by {fault.name!r} ({fault.reason}); once it is safe, clear "
-        f"it with: iher-robot clear-fault {fault.name}"
-    )
+    return latched_sentence(driver.spec.name, fault.name, fault.reason)
 
 
 def _fault(driver: RobotDriver) -> Check:

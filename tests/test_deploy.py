@@ -21,7 +21,7 @@ import iher_robot.deploy
 import iher_robot.deployment_episode
 import iher_robot.env
 from drivers import LinkLost, ResetOutcome, ResetRequest, ResetResult, RobotSpec
-from iher_robot.chosen_robot import choose_robot
+from iher_robot.chosen_robot import choose_own_robot, choose_robot
 from iher_robot.collect import choose_action
 from iher_robot.deploy import DeployResult, deploy
 from iher_robot.deployment_log import DeploymentLog
@@ -577,7 +577,7 @@ def test_a_stop_from_outside_ends_it_for_good(policy: Path, robot: Robot) -> Non
 
 
 def test_the_robot_is_named_or_in_the_folder_or_on_this_machine(folder: Path) -> None:
-    choose = iher_robot.deploy._choose
+    choose = choose_own_robot
     here = choose(None, None, ())
     assert (here.driver, here.options) == ("zenoh", {"robot": "fetch"})
     assert choose("mujoco", None, ()).title == "mujoco fetch"

@@ -271,7 +271,7 @@ class ZenohDriver(RobotDriver):
             return
         if info.boot != self._lease.boot:
             self._lose(LinkLost(f"the host of {self.spec.name} was started anew; open it again"))
-        elif info.token != self._lease.token:
+        elif info.token != self._lease.token and state.seq > self._lease.seq:
             self._lose(LeaseRefused(f"the lease of {self.spec.name} has ended; open it again"))
         if info.fault is not None:
             self._gate.latch(info.fault.name, info.fault.reason)

@@ -9,7 +9,7 @@ import threading
 import time
 import uuid
 
-from drivers.errors import DriverError, LeaseRefused, LinkLost
+from drivers.errors import DriverError, LeaseRefused
 from drivers.remote.client import RobotClient
 from drivers.remote.messages import LeaseRequest
 
@@ -26,6 +26,7 @@ class ClientLease:
         token: Under which the host takes commands, 0 without a lease.
         boot: Which start of the host gave it.
         session: Stands for this client; it may take over what is its own.
+        seq: The robot's tick counter when it was given; states up to there say nothing of it.
     """
 
     def __init__(self, scene: str | None) -> None:
@@ -36,6 +37,7 @@ class ClientLease:
         """
         self.token = 0
         self.boot = ""
+        self.seq = 0
         self.session = uuid.uuid4().hex
         self._scene = scene
         self._client: RobotClient | None = None
@@ -85,7 +87,7 @@ class ClientLease:
     def _ask(self, client: RobotClient) -> float:
         # A scene may have to be loaded first.
         reply = client.request("lease", self._message("acquire"), client.options.reset_timeout_s)
-        self.token, self.boot = int(reply.result["token"]), reply.boot
+        self.token, self.boot, self.seq = int(reply.result["token"]), reply.boot, reply.seq
         return float(reply.result["ttl_s"])
 
     def _renew(self, client: RobotClient, ttl_s: float, ended: threading.Event) -> None:
@@ -94,8 +96,8 @@ class ClientLease:
                 client.request("lease", self._message("renew"), ttl_s / _RENEWALS)
             except LeaseRefused:
                 return  # the next state says so, or the next request
-            except LinkLost:
-                continue
+            except DriverError:
+                continue  # no answer, or one of a request that was damaged on its way
 
     def _message(self, op: str) -> LeaseRequest:
         return LeaseRequest.model_validate(

@@ -92,6 +92,7 @@ class ControlLoop:
         self._parent = os.getppid()
         self._next_ns = 0
         self._published_ns = 0
+        self._was_slow = False
         self._late: deque[float] = deque(maxlen=_TIMED_TICKS)
         self._overruns = 0
         self._told_fault: tuple[str | None, int] = (None, 0)
@@ -129,14 +130,20 @@ class ControlLoop:
         if self._robot.driver.is_armed:
             self._total.tick()
         self._robot.driver.advance()
-        now_ns = self._clock.now_ns()
-        self._late.append((now_ns - self._next_ns) / 1e6)
-        if now_ns - self._next_ns > period_ns:  # ticks are not made up for
-            self._overruns += 1
-            self._next_ns = now_ns
-        elif self._robot.driver.paces_itself:
-            self._next_ns = now_ns
+        self._plan_next_tick(period_ns)
         self._publish()
+
+    def _plan_next_tick(self, period_ns: int) -> None:
+        now_ns = self._clock.now_ns()
+        late_ns = now_ns - self._next_ns
+        if self._was_slow:  # a reset or a new scene took its time: no tick was late
+            self._was_slow, self._next_ns = False, now_ns
+            return
+        self._late.append(late_ns / 1e6)
+        if late_ns > period_ns:
+            self._overruns += 1
+        if late_ns > period_ns or self._robot.driver.paces_itself:  # ticks are not made up for
+            self._next_ns = now_ns
 
     def _over(self) -> bool:
         return self._vitals.ending or self._gateway_gone.is_set() or os.getppid() != self._parent
@@ -198,6 +205,8 @@ class ControlLoop:
         driver = self._robot.driver
         self._memory.count(state.seq)
         self._robot.keep_fault()
+        # Before the fault is looked at: a stop from now on must not seem to be in this state.
+        self._requests.published(state.seq)
         info = HostInfo(
             boot=self.boot,
             token=self._lease.token,
@@ -210,7 +219,6 @@ class ControlLoop:
             clips={str(reason): n for reason, n in driver.clips.items()},
         )
         self._desk.published(state.seq)
-        self._requests.published(state.seq)
         self._published_ns = self._clock.now_ns()
         packed = pack_state(state, info)
         self._channel.send(Note("state", info.token, self.boot, packed))
@@ -224,7 +232,7 @@ class ControlLoop:
 
     def _slow(self) -> None:
         self._vitals.promise(SLOW_S)
-        self._next_ns = self._clock.now_ns()
+        self._was_slow = True
 
     def _timing(self) -> dict[str, Any]:
         late = np.percentile(self._late, [50, 99]) if self._late else (0.0, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +34,7 @@ class LatchedFault:
             folder: Made if it does not exist.
         """
         folder.mkdir(parents=True, exist_ok=True)
+        self._lock = threading.Lock()  # a stop comes in another thread than the ticks
         self._path = folder / "robot.json"
         self._content: dict[str, Any] = {"ticks": 0, "fault": None}
         if self._path.exists():
@@ -51,15 +53,16 @@ class LatchedFault:
 
     def keep(self, fault: Fault | None) -> None:
         """Write down the latched fault, if it is another one than before."""
-        known = self._content["fault"]
         found = None if fault is None else {"name": fault.name, "reason": fault.reason}
-        if found != known:
-            self._write(self._content | {"fault": found})
+        with self._lock:
+            if found != self._content["fault"]:
+                self._write(self._content | {"fault": found})
 
     def count(self, tick: int) -> None:
         """Write down a new ceiling before the counter reaches the old one."""
-        if tick + 1 >= self.ticks:
-            self._write(self._content | {"ticks": tick + _TICKS_AHEAD})
+        with self._lock:
+            if tick + 1 >= self.ticks:
+                self._write(self._content | {"ticks": tick + _TICKS_AHEAD})
 
     def _write(self, content: dict[str, Any]) -> None:
         data = json.dumps(content).encode()

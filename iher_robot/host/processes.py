@@ -181,7 +181,7 @@ def run_robot(
         memory = LatchedFault(settings.memory_path)
         with RobotTotal(settings.memory_path, settings.name) as total:
             make = partial(_make_served, settings)
-            scene = settings.scene or _first_scene(make)
+            scene = settings.scene or first_scene(make)
             robot = ServedRobot(make, scene, memory, settings.perception, clock)
             loop = ControlLoop(settings, robot, total, memory, Channel(end), vitals, clock)
             loop.run(lambda: _say(starter, _READY))
@@ -223,7 +223,15 @@ def _say(starter: Connection, problem: bytes) -> None:
     starter.close()
 
 
-def _first_scene(make: Callable[[str], RobotDriver]) -> str:
+def first_scene(make: Callable[[str], RobotDriver]) -> str:
+    """Return a scene that a driver has.
+
+    Args:
+        make: Makes the driver for a scene.
+
+    Raises:
+        ValueError: There is none; what the first was refused with.
+    """
     refused: ValueError | None = None
     for scene in _SCENES:
         try:

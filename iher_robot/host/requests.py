@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from drivers.command import ResetOutcome, ResetRequest
-from drivers.errors import DriverError, InvalidRequest, LinkLost
+from drivers.errors import DriverError, InvalidRequest, LeaseRefused, LinkLost
 from drivers.remote.messages import (
     ArmRequest,
     ClearFaultRequest,
@@ -21,6 +21,7 @@ from drivers.remote.messages import (
     StopRequest,
 )
 from drivers.wire import WireError, pack, unpack
+from iher_robot import __version__
 from iher_robot.errors import UserError
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.lease import Deadman, HostLease
@@ -136,6 +137,7 @@ class RequestDesk:
         driver = self._robot.driver
         fault = driver.fault
         return {
+            "version": __version__,
             "robot": self._robot.spec.name,
             "scene": self._robot.scene,
             "mode": str(self._robot.state().mode),
@@ -228,7 +230,12 @@ class RequestDesk:
                 f"{self._robot.spec.name} is served in scene {self._fixed_scene!r} only, not "
                 f"{scene!r:.40}; start its host with another --scene"
             )
-        if scene != self._robot.scene:
+        if not self._robot.knows(scene):
+            if self._robot.driver.is_armed:  # loading it would keep the control loop from its ticks
+                raise LeaseRefused(
+                    f"scene {scene!r:.40} of {self._robot.spec.name} is not loaded, and the robot "
+                    f"is used by {self._lease.holder} now; ask again when it is disarmed"
+                )
             self._slow()
         return self._robot.describe(scene)
 

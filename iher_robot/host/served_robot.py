@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+
 from drivers import ObjectPose, ObjectSource, RobotDriver, RobotSpec, RobotState
 from drivers.clock import Clock
 from drivers.errors import InvalidRequest
@@ -72,6 +74,10 @@ class ServedRobot:
             self._specs[scene] = self._spec_of(self._make(scene))
         return self._specs[scene]
 
+    def knows(self, scene: str) -> bool:
+        """Whether describing the robot in a scene takes no time."""
+        return scene in self._specs
+
     def use(self, scene: str) -> None:
         """Change to another scene. The robot is held and disarmed afterwards.
 
@@ -133,9 +139,13 @@ class ServedRobot:
                 f"pose of {name!r} is in frame {message.frame!r:.40}, allowed: {frame!r}"
             )
         for field, size in (("pos", 3), ("quat", 4), ("linvel", 3), ("angvel", 3)):
-            shape = getattr(message, field).shape
-            if shape != (size,):
-                raise InvalidRequest(f"{field} of {name!r} has shape {shape}, allowed: ({size},)")
+            value = getattr(message, field)
+            if value.shape != (size,):
+                raise InvalidRequest(
+                    f"{field} of {name!r} has shape {value.shape}, allowed: ({size},)"
+                )
+            if not np.isfinite(value).all():
+                raise InvalidRequest(f"{field} of {name!r} is {value}, allowed: finite numbers")
         known = self._seen.get(name)
         if known is None or message.n > known[0].n:
             self._seen[name] = (message, self._clock.now_ns())

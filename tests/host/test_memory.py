@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -61,3 +62,22 @@ def test_a_crash_counts_too_much_and_never_too_little(tmp_path: Path) -> None:
 def test_two_hosts_of_one_robot_are_refused(tmp_path: Path) -> None:
     with RobotTotal(tmp_path, "fetch"), pytest.raises(UserError, match="served by another process"):
         RobotTotal(tmp_path, "fetch")
+
+
+def test_a_stop_may_be_written_while_the_loop_writes(tmp_path: Path) -> None:
+    memory, problems = LatchedFault(tmp_path), []
+
+    def keep() -> None:
+        try:
+            for index in range(50):
+                memory.keep(Fault("f", f"{threading.get_ident()} {index}", 0))
+        except UserError as error:
+            problems.append(error)
+
+    threads = [threading.Thread(target=keep) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30.0)
+    assert problems == []
+    assert LatchedFault(tmp_path).fault == memory.fault

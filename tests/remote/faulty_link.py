@@ -115,10 +115,13 @@ class FaultyLink:
         name = key.split("/", 3)[-1]
         self._queries.append(query)
 
+        def give(body: bytes) -> None:
+            with query:  # there is no other answer, for which Zenoh would wait
+                query.reply(key, body)
+
         def answer(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                body = reply.ok.payload.to_bytes()
-                self._send((TO_CLIENT, name), body, lambda data: query.reply(key, data))
+                self._send((TO_CLIENT, name), reply.ok.payload.to_bytes(), give)
 
         def ask(body: bytes) -> None:
             self._to_host.get(key, answer, payload=body, timeout=_REPLY_S, express=True)

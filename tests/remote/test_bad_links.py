@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from drivers import (
     Command,
     DriverError,
     JointCommand,
+    LeaseRefused,
     LinkLost,
     Mode,
     ResetRequest,
@@ -42,7 +45,7 @@ FAULTS = {
     "reorder": Faults(delay_ms=(0.0, 30.0), swap=0.3),
     "duplicate": Faults(delay_ms=(0.0, 60.0), duplicate=0.5),
     "truncate": Faults(truncate=0.2),
-    "all": Faults(drop=0.2, delay_ms=(0.0, 100.0), swap=0.2, duplicate=0.2, truncate=0.2),
+    "all": Faults(drop=0.2, delay_ms=(0.0, 60.0), swap=0.1, duplicate=0.1, truncate=0.1),
 }
 
 
@@ -59,11 +62,13 @@ class Drive:
     Attributes:
         sent: Commands that were handed over, by the state that they answer.
         errors: What it met.
+        at_start: Whether the robot was reset since it was opened.
     """
 
     driver: ZenohDriver
     sent: dict[int, Command] = field(default_factory=dict)
     errors: list[DriverError] = field(default_factory=list)
+    at_start: bool = False
 
     def run(self, ticks: int) -> None:
         """Tick until that many have passed, beginning anew where something goes wrong."""
@@ -82,24 +87,33 @@ class Drive:
                     done += 1
             except DriverError as error:
                 self.errors.append(error)
-                if not self.driver.is_armed:
+                if isinstance(error, LeaseRefused):
                     self.driver.close()
         assert done == ticks, f"{done} ticks in {PATIENCE_S} s, met: {self.errors}"
 
     def _make_ready(self) -> None:
         if not self.driver.is_open:
             self.driver.open()
+            self.at_start = False
+        if not self.at_start:
             self.driver.reset(ResetRequest())
-        self.driver.arm()
+            self.at_start = True
+        if not self.driver.is_armed:
+            self.driver.arm()
 
 
-def _driver(link: FaultyLink) -> ZenohDriver:
+def _driver(served: ServedRobot, link: FaultyLink) -> ZenohDriver:
     """A client behind a bad link; what is lost must not take long to be found out."""
+    options = {"connect": [link.endpoint], "timeout_s": 0.5, "reset_timeout_s": 1.0}
     while True:
         try:
-            return ServedRobot.driver_at(link.endpoint, timeout_s=0.6, reset_timeout_s=5.0)
+            return served.driver(**options)
         except DriverError:
             continue  # the request or its answer was lost
+
+
+def _status(observer: Observer) -> dict[str, Any]:
+    return observer.client.request("status", Empty()).result
 
 
 def _applied(seen: list[tuple[RobotState, HostInfo]]) -> list[RobotState]:
@@ -123,9 +137,9 @@ def _assert_only_what_was_sent(applied: list[RobotState], sent: dict[int, Comman
         assert 1 <= age <= LATEST_TICKS, f"a command {age} ticks old was applied"
         asked = sent[command.answers]
         assert isinstance(command, JointCommand) and isinstance(asked, JointCommand)  # noqa: PT018
-        if not state.applied.clipped:
-            np.testing.assert_array_equal(command.q_target, asked.q_target)
-            np.testing.assert_array_equal(command.dq, asked.dq)
+        if age == 1 and not state.applied.clipped:  # a later one starts from elsewhere
+            np.testing.assert_allclose(command.q_target, asked.q_target, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(command.dq, asked.dq, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", FAULTS)
@@ -134,11 +148,11 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
         Observer(served.endpoint) as observer,
         FaultyLink(served.endpoint, FAULTS[kind], seed=7) as link,
     ):
-        drive = Drive(_driver(link))
-        before = observer.refusals()
+        drive = Drive(_driver(served, link))
+        before = Counter(_status(observer)["refusals"])
         drive.run(TICKS)
         faulty = _applied(observer.seen)
-        refused = observer.refusals() - before
+        refused = Counter(_status(observer)["refusals"]) - before
         link.faults = NO_FAULTS
         drive.driver.close()
         begun = len(observer.seen)
@@ -149,9 +163,9 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
         drive.driver.close()
         print(kind, dict(link.suffered), len(faulty), dict(refused), drive.errors)
         _assert_only_what_was_sent(_applied(observer.seen), drive.sent)
-        assert_within_limits([state for state, _ in observer.seen], observer.spec)
+        assert_within_limits(observer.seen, observer.spec)
         assert sum(link.suffered.values()) >= (0 if kind == "delay" else TICKS / 10)
-        assert observer.client.request("status", Empty()).ok
+        assert _status(observer)["robot"], "the host is up and answers"
     if kind == "delay":
         assert not faulty
         assert refused["expired"] > TICKS / 2
@@ -159,9 +173,18 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
         assert len(faulty) >= TICKS / 4, "what arrives in time still moves the robot"
 
 
+def test_late_states_from_before_a_lease_do_not_end_it(served: ServedRobot) -> None:
+    with FaultyLink(served.endpoint, FAULTS["delay"], seed=5) as link:
+        driver = _driver(served, link)
+        for _ in range(6):
+            driver.open()
+            driver.advance()
+            driver.close()
+
+
 def test_a_cut_link_leaves_the_robot_held_and_heals(served: ServedRobot) -> None:
     with Observer(served.endpoint) as observer, FaultyLink(served.endpoint) as link:
-        drive = Drive(_driver(link))
+        drive = Drive(_driver(served, link))
         drive.run(30)
         link.partitioned = True
         cut_at = observer.newest[0].seq
@@ -174,7 +197,7 @@ def test_a_cut_link_leaves_the_robot_held_and_heals(served: ServedRobot) -> None
         drive.driver.close()
         drive.run(20)
         drive.driver.close()
-        seen = [(state, info) for state, info in observer.seen if state.seq > cut_at]
+        seen = [(state, info) for state, info in observer.seen if state.seq > cut_at - 5]
     tripped = next(state.seq for state, info in seen if not info.armed)
     moved = max(s.seq for s, _ in seen if s.mode is Mode.MOVING and s.seq <= tripped)
     assert moved <= cut_at + LATEST_TICKS
@@ -193,9 +216,9 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
         Observer(served.endpoint) as observer,
         FaultyLink(served.endpoint, seed=11) as link,
     ):
-        options = {"connect": [link.endpoint], "timeout_s": 0.6, "reset_timeout_s": 5.0}
+        options = {"connect": [link.endpoint], "timeout_s": 0.5, "reset_timeout_s": 1.0}
         env = make_env("reach", "zenoh", **options)
-        before, charged = observer.motion_ticks(), 0
+        before, charged = _status(observer)["total_ticks"]["motion"], 0
         for episode in range(5):
             link.faults = NO_FAULTS  # the requests of a reset are not what is tested here
             env.reset(seed=episode)
@@ -217,7 +240,7 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
                 print(error)
         link.faults = NO_FAULTS
         env.close()
-        spent = observer.motion_ticks() - before
+        spent = _status(observer)["total_ticks"]["motion"] - before
         print(steps, aborted, unseen, charged, spent, dict(link.suffered), link.passed)
     assert steps >= 10
     assert unseen > 0

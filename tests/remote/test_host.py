@@ -216,6 +216,19 @@ def test_a_host_serves_the_scene_that_the_task_needs(served: ServedRobot) -> Non
         driver.close()
 
 
+def test_a_scene_is_not_loaded_while_the_robot_moves(served: ServedRobot) -> None:
+    driver = served.driver()
+    _begin(driver)
+    driver.advance()
+    with pytest.raises(LeaseRefused, match="not loaded"):
+        served.driver("slide")
+    driver.advance()
+    assert driver.is_armed
+    driver.disarm()
+    assert served.driver("slide").spec.name.endswith("slide")
+    driver.close()
+
+
 def test_the_robots_side_counts_every_tick_of_motion(served: ServedRobot) -> None:
     driver = served.driver()
     _begin(driver)

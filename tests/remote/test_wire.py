@@ -32,7 +32,7 @@ INFO = HostInfo("boot", 3, 17, 5000, True, "because", Fault("f", "r", 7), {"expi
 finite = st.floats(allow_nan=False, width=64)
 
 
-def _vector(size: int) -> st.SearchStrategy[np.ndarray]:  # type: ignore[type-arg]
+def _vector(size: int) -> st.SearchStrategy[np.ndarray]:
     return st.lists(finite, min_size=size, max_size=size).map(np.array)
 
 

@@ -1,0 +1,227 @@
+"""How fast a served robot is answered, and how even its ticks are, alone and beside training.
+
+python bench/link.py [--rounds 3] [--seconds 64] [--out bench/results/NAME.json]
+
+A host (iher-robot serve) on loopback, and a client that answers each state with the smallest command
+there is: stay where the motors are told to be. The host measures the way there and back on its
+own clock: from the moment before a state is packed to the one in which the control loop has
+checked the command that answers it. Beside it, in each other round, iher-robot train runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import JointCommand, ResetRequest, StaleState
+from drivers.remote import LinkOptions, ZenohDriver, link_options
+from drivers.remote.client import RobotClient
+from drivers.remote.messages import Empty
+from iher_robot.provenance import collect_provenance
+
+START_S = 120.0
+PINGS = 500
+TARGETS_MS = {"state to command ms, p50": 1.5, "state to command ms, p99": 5.0}
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run iher-robot in a process of its own, and end it as a Ctrl-C does."""
+    command = [sys.executable, "-m", "iher_robot", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=60.0)
+
+
+@contextmanager
+def host(memory: Path) -> Iterator[tuple[LinkOptions, int]]:
+    """Serve a simulated robot; yield where, and the process of the watchdog."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with program("serve", "--listen", endpoint, "--memory", str(memory)) as process:
+        assert process.stdout is not None
+        if not any(line.startswith("serving") for line in process.stdout):
+            raise SystemExit("the host did not start; try it by hand: iher-robot serve")
+        yield link_options({"connect": [endpoint]}), process.pid
+
+
+@contextmanager
+def training(folder: Path) -> Iterator[int]:
+    """Let a learner compute; yield its process once it has begun to."""
+    run = folder / "run"
+    options = ("--driver", "mujoco", "--task", "push", "--out", str(run), "--quiet")
+    with program("train", *options, "--until-success", "off") as process:
+        deadline = time.monotonic() + START_S
+        while not (run / "checkpoint.pt").exists():
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise SystemExit("training did not start; try it by hand: iher-robot train")
+            time.sleep(0.2)
+        yield process.pid
+        if process.poll() is not None:
+            raise SystemExit("training ended before the round did")
+
+
+def busy_s(pid: int) -> float:
+    """Seconds that a process has computed for."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def real_time(watchdog: int) -> bool:
+    """Whether a process of the host was given real-time scheduling."""
+    children = Path(f"/proc/{watchdog}/task/{watchdog}/children").read_text().split()
+    return any(os.sched_getscheduler(int(child)) == os.SCHED_RR for child in children)
+
+
+def answer_states(driver: ZenohDriver, ticks: int) -> dict[str, float]:
+    """Answer each state for some ticks; count what went wrong meanwhile."""
+    driver.arm()
+    disarmed, begun = 0, driver.measure().seq
+    for _ in range(ticks):
+        if not driver.is_armed:  # too late for the deadman
+            disarmed += 1
+            driver.arm()
+        try:
+            state = driver.read()
+        except StaleState:
+            driver.advance()
+            continue
+        at = state.setpoint
+        assert at is not None
+        stay = JointCommand(
+            state.seq, at.q, np.zeros_like(at.q), driver.spec.control_period_s, at.fingers
+        )
+        driver.command(stay)
+        driver.advance()
+    seen = driver.measure().seq - begun
+    return {"ticks": seen, "ticks not seen": seen - ticks, "disarmed by the deadman": disarmed}
+
+
+def status(options: LinkOptions) -> dict[str, Any]:
+    with RobotClient(options) as client:
+        return client.request("status", Empty()).result
+
+
+def measure(options: LinkOptions, seconds: float) -> dict[str, float]:
+    """One round with a host just started: nothing else is in its windows."""
+    with ZenohDriver(options, "push") as driver:
+        ticks = round(seconds / driver.spec.control_period_s)
+        driver.reset(ResetRequest())
+        before = status(options)
+        counted = answer_states(driver, ticks)
+        after = status(options)
+        driver.disarm()
+        pings = driver.measure_link(PINGS)
+    refused = {
+        reason: count - before["refusals"].get(reason, 0)
+        for reason, count in after["refusals"].items()
+    }
+    return {
+        "state to command ms, p50": after["answer_p50_ms"],
+        "state to command ms, p99": after["answer_p99_ms"],
+        "commands timed": after["answers_timed"],
+        "commands refused": sum(refused.values()),
+        "ping there and back ms, p50": pings.p50_ms,
+        "ping there and back ms, p99": pings.p99_ms,
+        "pings lost": pings.lost,
+        "tick late ms, p50": after["tick_late_p50_ms"],
+        "tick late ms, p99": after["tick_late_p99_ms"],
+        "ticks overrun": after["tick_overruns"] - before["tick_overruns"],
+        **counted,
+    }
+
+
+def one_round(seconds: float, beside_training: bool) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        with host(folder / "memory") as (options, watchdog):
+            scheduled = {"real-time scheduling": float(real_time(watchdog))}
+            if not beside_training:
+                return measure(options, seconds) | scheduled
+            with training(folder) as learner:
+                computed, begun = busy_s(learner), time.monotonic()
+                row = measure(options, seconds)
+                share = (busy_s(learner) - computed) / (time.monotonic() - begun)
+            return row | scheduled | {"cores that training used": share}
+
+
+def table(found: dict[str, dict[str, list[float]]]) -> str:
+    """Medians over rounds, with the least and the greatest."""
+    names = list(found["beside training"])
+    lines = [f"{'':30s}" + "".join(f"{where:>32s}" for where in found)]
+    for name in names:
+        line = f"{name:30s}"
+        for rows in found.values():
+            values = rows.get(name, [])
+            cell = ""
+            if values:
+                middle = statistics.median(values)
+                cell = f"{middle:,.2f}   ({min(values):,.2f} to {max(values):,.2f})"
+            line += f"{cell:>32s}"
+        if name in TARGETS_MS:
+            line += f"   target, alone on an idle machine: {TARGETS_MS[name]:g}"
+        lines.append(line.rstrip())
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure in rounds, alone and beside training in turn, and print medians."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=64.0, help="of each, 1,500 ticks are 60")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    provenance = collect_provenance(sys.argv, 0, datetime.now().astimezone())
+    provenance["versions"] |= {name: version(name) for name in ("eclipse-zenoh", "msgpack")}
+    load = os.getloadavg()[0]
+    print(f"load before: {load:.2f}" + "; this machine is not idle" * (load > 0.5), flush=True)
+    found: dict[str, dict[str, list[float]]] = {"alone": {}, "beside training": {}}
+    for _ in range(options.rounds):
+        for where, rows in found.items():
+            row = one_round(options.seconds, beside_training=where == "beside training")
+            for name, value in row.items():
+                rows.setdefault(name, []).append(value)
+    print(table(found))
+    if options.out is not None:
+        medians = {
+            where: {name: statistics.median(values) for name, values in rows.items()}
+            for where, rows in found.items()
+        }
+        measured = {
+            "seconds": options.seconds,
+            "load before": load,
+            "median": medians,
+            "all": found,
+        }
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(json.dumps(provenance | measured, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
