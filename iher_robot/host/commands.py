@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter, deque
 from collections.abc import Mapping
 
@@ -54,12 +55,14 @@ class CommandDesk:
         self._published: dict[int, int] = {}
         self._answered_ms: deque[float] = deque(maxlen=_TIMED_COMMANDS)
         self._refused: Counter[str] = Counter()
+        self._counting = threading.Lock()
 
     @property
     def refusals(self) -> Mapping[str, int]:
-        """Commands refused by host and driver, by reason."""
+        """What host and driver refused, by reason; but for commands with its kind before it."""
         driver = {str(reason): n for reason, n in self._robot.driver.refusals.items()}
-        return dict(self._refused + Counter(driver))
+        with self._counting:
+            return dict(self._refused + Counter(driver))
 
     def timing(self) -> dict[str, float]:
         """Return how long the last states waited for the commands that answer them, in `status`."""
@@ -81,8 +84,9 @@ class CommandDesk:
         self._published.clear()
 
     def refuse(self, reason: str, count: int = 1) -> None:
-        """Count commands that were refused elsewhere."""
-        self._refused[reason] += count
+        """Count what was refused, here or elsewhere; from any thread."""
+        with self._counting:
+            self._refused[reason] += count
 
     def take(self, body: bytes) -> None:
         """Take one command.

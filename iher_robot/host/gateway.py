@@ -6,20 +6,22 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
 
 from drivers.remote.keys import robot_key
-from drivers.remote.messages import unpack_command
+from drivers.remote.messages import ObjectMessage, unpack_command
 from drivers.remote.publishing import real_time_publisher
-from drivers.wire import MAX_BYTES, WireError
+from drivers.wire import MAX_BYTES, WireError, unpack
+from iher_robot.host.arrivals import Arrivals
 from iher_robot.host.channel import Channel, Note
 
 log = logging.getLogger(__name__)
 
 _WAITING = 4096
-"""Messages of one kind that may wait; past them the oldest are dropped, and nobody is slowed."""
+"""Messages of one kind that may wait."""
 _REQUESTS = 256
 _COMMAND_BYTES = 8192
 _TELL_AFTER = 64
@@ -53,20 +55,11 @@ class Gateway:
         self._states = real_time_publisher(session, self._key("state"))
         self._faults = real_time_publisher(session, self._key("fault"))
         self._alive = session.liveliness().declare_token(self._key("alive", "host"))
-        heard: dict[str, Callable[[zenoh.Sample], None]] = {
-            "cmd": self._command,
-            "stop": self._stop,
-            "object/*": self._object,
-        }
-        for name, take in heard.items():
-            subscriber = session.declare_subscriber(
-                self._key(name), zenoh.handlers.RingChannel(_WAITING)
-            )
-            self._start(name, self._each, subscriber, take)
-        queryable = session.declare_queryable(
-            self._key("rpc", "*"), zenoh.handlers.RingChannel(_REQUESTS)
-        )
-        self._start("requests", self._each, queryable, self._request)
+        self._hear("cmd", self._command, "overrun")
+        self._hear("stop", self._stop, "request_overrun")
+        self._hear("object/*", self._object, "object_overrun")
+        declare = partial(session.declare_queryable, self._key("rpc", "*"))
+        self._wait_for("requests", declare, _REQUESTS, self._request, "request_overrun")
 
     def run(self) -> None:
         """Carry what the robot process says, until it ends."""
@@ -98,14 +91,19 @@ class Gateway:
             self._refuse("wrong_token")
         else:
             self._tell()
-            self._channel.send(Note("command", body=body))
+            self._pass_on(Note("command", body=body), "overrun")
 
     def _stop(self, sample: zenoh.Sample) -> None:
-        self._channel.send(Note("stop", body=self._body(sample.payload)))
+        self._pass_on(Note("stop", body=self._body(sample.payload)), "request_overrun")
 
     def _object(self, sample: zenoh.Sample) -> None:
-        name = str(sample.key_expr).rsplit("/", 1)[-1]
-        self._channel.send(Note("object", name=name, body=self._body(sample.payload)))
+        name, body = str(sample.key_expr).rsplit("/", 1)[-1], self._body(sample.payload)
+        try:
+            unpack(ObjectMessage, body)
+        except WireError as error:
+            self._refuse(f"object_{error.reason}")
+        else:
+            self._pass_on(Note("object", name=name, body=body), "object_overrun")
 
     def _request(self, query: zenoh.Query) -> None:
         self._tell()
@@ -116,7 +114,8 @@ class Gateway:
             self._queries[number] = query
             if len(self._queries) > _REQUESTS:
                 del self._queries[next(iter(self._queries))]
-        if not self._channel.send(Note("request", number, name, self._body(query.payload))):
+        note = Note("request", number, name, self._body(query.payload))
+        if not self._pass_on(note, "request_overrun"):
             with self._lock:
                 self._queries.pop(number, None)
 
@@ -148,14 +147,31 @@ class Gateway:
         with self._lock:
             refused, self._refused = self._refused, Counter()
         for reason, count in refused.items():
-            self._channel.send(Note("refused", count, reason))
+            if not self._channel.send(Note("refused", count, reason)):
+                with self._lock:
+                    self._refused[reason] += count
 
-    def _each(self, source: Any, take: Callable[[Any], None]) -> None:
-        try:
-            for message in source:
-                take(message)
-        except zenoh.ZError:
-            return  # the session was closed
+    def _pass_on(self, note: Note, otherwise: str) -> bool:
+        sent = self._channel.send(note)
+        if not sent:
+            self._refuse(otherwise)
+        return sent
+
+    def _hear(self, name: str, take: Callable[[zenoh.Sample], None], otherwise: str) -> None:
+        declare = partial(self._session.declare_subscriber, self._key(name))
+        self._wait_for(name, declare, _WAITING, take, otherwise)
+
+    def _wait_for(
+        self,
+        name: str,
+        declare: Callable[[Any], Any],
+        most: int,
+        take: Callable[[Any], None],
+        otherwise: str,
+    ) -> None:
+        arrivals = Arrivals(declare, most, partial(self._refuse, otherwise))
+        self._start(f"{name} arrive", arrivals.collect)
+        self._start(name, arrivals.deal, take)
 
     def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:
         thread = threading.Thread(target=target, args=arguments, daemon=True, name=name)

@@ -38,6 +38,11 @@ _LISTENING = 0.5
 """Share of a tick in which commands are taken for a robot that waits for its ticks itself."""
 _TIMED_TICKS = 1500
 _FAULT_EVERY_NS = 10**9
+_LATE_NOTES = 64
+"""Of what waits when a tick should end, so many are dealt with; a flood must not put it off."""
+_WAITING_NOTES = 1024
+_MAY_BE_REFUSED = {"command": "overrun", "object": "object_overrun"}
+"""Past that many these are refused; the others are few, for each waits for its answer."""
 
 
 class ControlLoop:
@@ -149,9 +154,11 @@ class ControlLoop:
         return self._vitals.ending or self._gateway_gone.is_set() or os.getppid() != self._parent
 
     def _take_until(self, deadline_ns: int) -> None:
-        """Deal with whatever arrives until then, and with what has arrived in any case."""
-        while True:
+        """Deal with whatever arrives until then, and with some of what has arrived in any case."""
+        late = 0
+        while late < _LATE_NOTES:
             left_s = (deadline_ns - self._clock.now_ns()) / 1e9
+            late += left_s <= 0
             try:
                 note = self._inbox.get(timeout=left_s) if left_s > 0 else self._inbox.get_nowait()
             except queue.Empty:
@@ -185,6 +192,8 @@ class ControlLoop:
                 self._channel.send(Note("reply", note.number, "stop", reply))
             elif note.kind == "stop":
                 self._requests.answer("stop", note.body)
+            elif note.kind in _MAY_BE_REFUSED and self._inbox.qsize() >= _WAITING_NOTES:
+                self._desk.refuse(_MAY_BE_REFUSED[note.kind])
             else:
                 self._inbox.put(note)
         self._gateway_gone.set()

@@ -101,8 +101,10 @@ class RequestDesk:
                 raise InvalidRequest(f"request {name!r:.40} is unknown, valid: {known}")
             result = self._answers[name](body)
         except WireError as error:
+            self._desk.refuse(f"request_{error.reason}")
             return self._reply(InvalidRequest(f"request {name!r} cannot be read: {error}"))
         except (DriverError, UserError) as error:
+            self._desk.refuse("request_refused")
             return self._reply(error)
         return self._reply(None, result)
 
