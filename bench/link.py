@@ -3,9 +3,9 @@
 python bench/link.py [--rounds 3] [--seconds 64] [--out bench/results/NAME.json]
 
 A host (iher-robot serve) on loopback, and a client that answers each state with the smallest
-command there is: stay where the motors are told to be. The host measures the way there and back on its
-own clock: from the moment before a state is packed to the one in which the control loop has
-checked the command that answers it. Beside it, in each other round, iher-robot train runs.
+command there is: stay where the motors are told to be. The host measures the way there and back
+on its own clock: from the moment before a state is packed to the one in which the control loop
+has checked the command that answers it. Beside it, in each other round, iher-robot train runs.
 """
 
 from __future__ import annotations

@@ -18,17 +18,25 @@ class Arrivals:
     keep its network threads waiting, with the messages of everybody else behind them.
     """
 
-    def __init__(self, declare: Callable[[Any], Any], most: int, refuse: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        declare: Callable[[Any], Any],
+        most: int,
+        most_bytes: int,
+        refuse: Callable[[str], None],
+    ) -> None:
         """Begin to hear.
 
         Args:
             declare: Declares a subscriber or queryable with the channel that it is given.
             most: How many may wait.
-            refuse: Counts one that was refused.
+            most_bytes: How long each may be.
+            refuse: Counts one that is refused, ``too_long`` or ``overrun``.
         """
         self._source = declare(zenoh.handlers.FifoChannel(_CHANNEL))
         self._waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._most = most
+        self._most_bytes = most_bytes
         self._refuse = refuse
 
     def collect(self) -> None:
@@ -38,10 +46,7 @@ class Arrivals:
                 message = self._source.recv()
                 # All at once: each wait for the next lets the other threads go first.
                 while message is not None:
-                    if self._waiting.qsize() < self._most:
-                        self._waiting.put(message)
-                    else:
-                        self._refuse()
+                    self._sort(message)
                     message = self._source.try_recv()
         except zenoh.ZError:
             self._waiting.put(None)
@@ -54,3 +59,11 @@ class Arrivals:
         """
         while (message := self._waiting.get()) is not None:
             take(message)
+
+    def _sort(self, message: Any) -> None:
+        if message.payload is not None and len(message.payload) > self._most_bytes:
+            self._refuse("too_long")
+        elif self._waiting.qsize() >= self._most:
+            self._refuse("overrun")
+        else:
+            self._waiting.put(message)

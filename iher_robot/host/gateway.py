@@ -20,10 +20,11 @@ from iher_robot.host.channel import Channel, Note
 
 log = logging.getLogger(__name__)
 
-_WAITING = 4096
-"""Messages of one kind that may wait."""
+_WAITING = 1024
+"""Messages of one kind that may wait: more than are dealt with before a command expires."""
 _REQUESTS = 256
 _COMMAND_BYTES = 8192
+_OTHER_BYTES = MAX_BYTES // 8
 _TELL_AFTER = 64
 _END_S = 1.0
 
@@ -55,11 +56,12 @@ class Gateway:
         self._states = real_time_publisher(session, self._key("state"))
         self._faults = real_time_publisher(session, self._key("fault"))
         self._alive = session.liveliness().declare_token(self._key("alive", "host"))
-        self._hear("cmd", self._command, "overrun")
-        self._hear("stop", self._stop, "request_overrun")
-        self._hear("object/*", self._object, "object_overrun")
-        declare = partial(session.declare_queryable, self._key("rpc", "*"))
-        self._wait_for("requests", declare, _REQUESTS, self._request, "request_overrun")
+        hear = session.declare_subscriber
+        self._wait_for("cmd", hear, self._command, _WAITING, _COMMAND_BYTES, "")
+        self._wait_for("stop", hear, self._stop, _WAITING, _OTHER_BYTES, "request_")
+        self._wait_for("object/*", hear, self._object, _WAITING, _OTHER_BYTES, "object_")
+        answer = session.declare_queryable
+        self._wait_for("rpc/*", answer, self._request, _REQUESTS, _OTHER_BYTES, "request_")
 
     def run(self) -> None:
         """Carry what the robot process says, until it ends."""
@@ -78,8 +80,6 @@ class Gateway:
     def _command(self, sample: zenoh.Sample) -> None:
         body = sample.payload.to_bytes()
         try:
-            if len(body) > _COMMAND_BYTES:
-                raise WireError("too_long", "")
             message = unpack_command(body)
         except WireError as error:
             self._refuse(error.reason)
@@ -91,19 +91,19 @@ class Gateway:
             self._refuse("wrong_token")
         else:
             self._tell()
-            self._pass_on(Note("command", body=body), "overrun")
+            self._pass_on(Note("command", body=body), "")
 
     def _stop(self, sample: zenoh.Sample) -> None:
-        self._pass_on(Note("stop", body=self._body(sample.payload)), "request_overrun")
+        self._pass_on(Note("stop", body=sample.payload.to_bytes()), "request_")
 
     def _object(self, sample: zenoh.Sample) -> None:
-        name, body = str(sample.key_expr).rsplit("/", 1)[-1], self._body(sample.payload)
+        name, body = str(sample.key_expr).rsplit("/", 1)[-1], sample.payload.to_bytes()
         try:
             unpack(ObjectMessage, body)
         except WireError as error:
             self._refuse(f"object_{error.reason}")
         else:
-            self._pass_on(Note("object", name=name, body=body), "object_overrun")
+            self._pass_on(Note("object", name=name, body=body), "object_")
 
     def _request(self, query: zenoh.Query) -> None:
         self._tell()
@@ -114,8 +114,9 @@ class Gateway:
             self._queries[number] = query
             if len(self._queries) > _REQUESTS:
                 del self._queries[next(iter(self._queries))]
-        note = Note("request", number, name, self._body(query.payload))
-        if not self._pass_on(note, "request_overrun"):
+        body = b"" if query.payload is None else query.payload.to_bytes()
+        note = Note("request", number, name, body)
+        if not self._pass_on(note, "request_"):
             with self._lock:
                 self._queries.pop(number, None)
 
@@ -129,11 +130,6 @@ class Gateway:
                 query.reply(self._key("rpc", name), body, express=True)
         except zenoh.ZError as error:
             log.warning("the answer to %s could not be sent: %s", name, error)
-
-    def _body(self, payload: zenoh.ZBytes | None) -> bytes:
-        if payload is None or len(payload) > MAX_BYTES // 8:
-            return b""  # no message at all: it is refused, and counted, as one
-        return payload.to_bytes()
 
     def _refuse(self, reason: str) -> None:
         with self._lock:
@@ -151,25 +147,28 @@ class Gateway:
                 with self._lock:
                     self._refused[reason] += count
 
-    def _pass_on(self, note: Note, otherwise: str) -> bool:
+    def _pass_on(self, note: Note, kind: str) -> bool:
         sent = self._channel.send(note)
         if not sent:
-            self._refuse(otherwise)
+            self._refuse(f"{kind}overrun")
         return sent
-
-    def _hear(self, name: str, take: Callable[[zenoh.Sample], None], otherwise: str) -> None:
-        declare = partial(self._session.declare_subscriber, self._key(name))
-        self._wait_for(name, declare, _WAITING, take, otherwise)
 
     def _wait_for(
         self,
         name: str,
-        declare: Callable[[Any], Any],
-        most: int,
+        declare: Callable[..., Any],
         take: Callable[[Any], None],
-        otherwise: str,
+        most: int,
+        most_bytes: int,
+        kind: str,
     ) -> None:
-        arrivals = Arrivals(declare, most, partial(self._refuse, otherwise))
+        """Deal with the messages of a key, in threads of their own."""
+        arrivals = Arrivals(
+            partial(declare, self._key(name)),
+            most,
+            most_bytes,
+            lambda reason: self._refuse(kind + reason),
+        )
         self._start(f"{name} arrive", arrivals.collect)
         self._start(name, arrivals.deal, take)
 

@@ -105,9 +105,7 @@ class FaultyLink:
         publisher = real_time_publisher(target, robot_key(ROBOT, name))
         self._start(
             source.declare_subscriber(robot_key(ROBOT, name)),
-            lambda sample: self._send(
-                (direction, name), sample.payload.to_bytes(), publisher.put
-            ),
+            lambda sample: self._send((direction, name), sample.payload.to_bytes(), publisher.put),
         )
 
     def _ask(self, query: zenoh.Query) -> None:

@@ -119,9 +119,7 @@ def _status(observer: Observer) -> dict[str, Any]:
 def _applied(seen: list[tuple[RobotState, HostInfo]]) -> list[RobotState]:
     """States of the ticks in which a command moved the robot."""
     return [
-        state
-        for state, _ in seen
-        if state.applied is not None and state.applied.tick == state.seq
+        state for state, _ in seen if state.applied is not None and state.applied.tick == state.seq
     ]
 
 
