@@ -213,8 +213,8 @@ class HostileMessages:
         return pack(content | {name: self._one((None, 7, "x" * 5000, ["x"]))}), "malformed"
 
     def _request(self, name: str) -> Callable[[], tuple[bytes, str]]:
-        stale = {"boot": self._boot, "token": self._token + 1}
-        content: dict[str, object] = {
+        stale: dict[str, object] = {"boot": self._boot, "token": self._token + 1}
+        requests: dict[str, dict[str, object]] = {
             "spec": {"scene": "no such scene"},
             "lease": {"op": "acquire", "session": "a stranger", "holder": "x"},
             "arm": stale,
@@ -222,7 +222,8 @@ class HostileMessages:
             "reset": stale | {"objects": {}, "seed": 0},
             "hands_clear": stale | {"boot": "another"},
             "clear_fault": {"name": "hostile"},
-        }.get(name, {})
+        }
+        content = requests.get(name, {})
 
         def make() -> tuple[bytes, str]:
             if content and self._rng.random() < 0.5:

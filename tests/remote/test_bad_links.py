@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -102,9 +103,18 @@ class Drive:
             self.driver.arm()
 
 
+def _advance_until_lost(driver: ZenohDriver) -> None:
+    for _ in range(3):  # a state may have arrived before
+        driver.advance()
+
+
 def _driver(served: ServedRobot, link: FaultyLink) -> ZenohDriver:
     """A client behind a bad link; what is lost must not take long to be found out."""
-    options = {"connect": [link.endpoint], "timeout_s": 0.5, "reset_timeout_s": 1.0}
+    options: dict[str, Any] = {
+        "connect": [link.endpoint],
+        "timeout_s": 0.5,
+        "reset_timeout_s": 1.0,
+    }
     while True:
         try:
             return served.driver(**options)
@@ -125,7 +135,7 @@ def _applied(seen: list[tuple[RobotState, HostInfo]]) -> list[RobotState]:
 
 def _assert_only_what_was_sent(applied: list[RobotState], sent: dict[int, Command]) -> None:
     answers = [state.applied.command.answers for state in applied if state.applied is not None]
-    assert all(a < b for a, b in zip(answers, answers[1:], strict=False)), (
+    assert all(a < b for a, b in pairwise(answers)), (
         f"each command moves the robot in one tick, and none after a later one: {answers}"
     )
     for state in applied:
@@ -159,7 +169,6 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
             "on a good link the same client moves the robot"
         )
         drive.driver.close()
-        print(kind, dict(link.suffered), len(faulty), dict(refused), drive.errors)
         _assert_only_what_was_sent(_applied(observer.seen), drive.sent)
         assert_within_limits(observer.seen, observer.spec)
         assert sum(link.suffered.values()) >= (0 if kind == "delay" else TICKS / 10)
@@ -187,8 +196,7 @@ def test_a_cut_link_leaves_the_robot_held_and_heals(served: ServedRobot) -> None
         link.partitioned = True
         cut_at = observer.newest[0].seq
         with pytest.raises(LinkLost):
-            for _ in range(3):  # a state may have arrived before
-                drive.driver.advance()
+            _advance_until_lost(drive.driver)
         assert not drive.driver.is_armed
         assert eventually(lambda: observer.newest[0].seq > cut_at + CUT_S * 25)
         link.partitioned = False
@@ -214,7 +222,11 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
         Observer(served.endpoint) as observer,
         FaultyLink(served.endpoint, seed=11) as link,
     ):
-        options = {"connect": [link.endpoint], "timeout_s": 0.5, "reset_timeout_s": 1.0}
+        options: dict[str, Any] = {
+            "connect": [link.endpoint],
+            "timeout_s": 0.5,
+            "reset_timeout_s": 1.0,
+        }
         env = make_env("reach", "zenoh", **options)
         before, charged = _status(observer)["total_ticks"]["motion"], 0
         for episode in range(5):
@@ -235,11 +247,9 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
             except EpisodeAborted as error:
                 charged += error.ticks
                 aborted += 1
-                print(error)
         link.faults = NO_FAULTS
         env.close()
         spent = _status(observer)["total_ticks"]["motion"] - before
-        print(steps, aborted, unseen, charged, spent, dict(link.suffered), link.passed)
     assert steps >= 10
     assert unseen > 0
     assert link.passed[TO_HOST, "cmd"] >= steps / 2
