@@ -12,9 +12,9 @@ from typing import Any
 import zenoh
 
 from drivers.remote.keys import robot_key
-from drivers.remote.messages import ObjectMessage, unpack_command
+from drivers.remote.messages import ObjectMessage, StopRequest, unpack_command
 from drivers.remote.publishing import real_time_publisher
-from drivers.wire import MAX_BYTES, WireError, unpack
+from drivers.wire import MAX_BYTES, Message, WireError, unpack
 from iher_robot.host.arrivals import Arrivals
 from iher_robot.host.channel import Channel, Note
 
@@ -32,8 +32,8 @@ _END_S = 1.0
 class Gateway:
     """Carries messages between Zenoh and the robot process.
 
-    It sorts out commands that cannot be meant for this robot now, so that a flood of them costs
-    the control loop nothing; the loop checks everything again.
+    It sorts out what is no message, and commands that cannot be meant for this robot now, so that
+    a flood of them costs the control loop nothing; the loop checks everything again.
     """
 
     def __init__(self, session: zenoh.Session, robot: str, channel: Channel) -> None:
@@ -94,16 +94,12 @@ class Gateway:
             self._pass_on(Note("command", body=body), "")
 
     def _stop(self, sample: zenoh.Sample) -> None:
-        self._pass_on(Note("stop", body=sample.payload.to_bytes()), "request_")
+        self._checked(StopRequest, Note("stop", body=sample.payload.to_bytes()), "request_")
 
     def _object(self, sample: zenoh.Sample) -> None:
-        name, body = str(sample.key_expr).rsplit("/", 1)[-1], sample.payload.to_bytes()
-        try:
-            unpack(ObjectMessage, body)
-        except WireError as error:
-            self._refuse(f"object_{error.reason}")
-        else:
-            self._pass_on(Note("object", name=name, body=body), "object_")
+        name = str(sample.key_expr).rsplit("/", 1)[-1]
+        note = Note("object", name=name, body=sample.payload.to_bytes())
+        self._checked(ObjectMessage, note, "object_")
 
     def _request(self, query: zenoh.Query) -> None:
         self._tell()
@@ -146,6 +142,15 @@ class Gateway:
             if not self._channel.send(Note("refused", count, reason)):
                 with self._lock:
                     self._refused[reason] += count
+
+    def _checked(self, model: type[Message], note: Note, kind: str) -> None:
+        """Pass on what is a message of this kind."""
+        try:
+            unpack(model, note.body)
+        except WireError as error:
+            self._refuse(kind + error.reason)
+        else:
+            self._pass_on(note, kind)
 
     def _pass_on(self, note: Note, kind: str) -> bool:
         sent = self._channel.send(note)

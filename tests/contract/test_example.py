@@ -10,13 +10,14 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from drivers import RobotDriver
 from examples.line_robot import LineRobot
 from iher_robot import GoalRobotEnv, make_task
 from iher_robot.testing import DriverContract
 from iher_robot.testing.suite import ContractSuite
-from tests.remote.served import ServedRobot
+from tests.remote.served import PATIENT, ServedRobot
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "line_robot.py"
@@ -85,9 +86,12 @@ def test_the_example_is_found_by_its_entry_point(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.real_time
 def test_the_example_is_served_by_its_entry_point(tmp_path: Path) -> None:
     install_example(tmp_path)
-    served = ServedRobot(tmp_path / "memory", "--driver", "line", path=python_path(tmp_path))
+    served = ServedRobot(
+        tmp_path / "memory", "--driver", "line", *PATIENT, path=python_path(tmp_path)
+    )
     with served:
         driver = served.driver("reach", robot="line")
         assert driver.spec.to_dict() == LineRobot().spec.to_dict()

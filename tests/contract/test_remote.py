@@ -10,7 +10,9 @@ import pytest
 
 from drivers import RobotDriver
 from iher_robot.testing import DriverContract
-from tests.remote.served import ServedRobot
+from tests.remote.served import PATIENT, ServedRobot
+
+pytestmark = pytest.mark.real_time
 
 
 class TestServedFetch(DriverContract):
@@ -24,7 +26,7 @@ class TestServedFetch(DriverContract):
     @classmethod
     def _host(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         memory: Path = tmp_path_factory.mktemp("memory")
-        with ServedRobot(memory) as cls.served:
+        with ServedRobot(memory, *PATIENT) as cls.served:
             yield
 
     def make_driver(self) -> RobotDriver:

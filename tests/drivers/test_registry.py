@@ -37,8 +37,10 @@ def test_a_driver_of_another_package_is_found(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_metadata_may_name_the_built_in_driver_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = driver_targets()
     bring(monkeypatch, ("mujoco", "drivers.mujoco:make_fetch"))
-    assert driver_targets() == {"mujoco": "drivers.mujoco:make_fetch"}
+    assert driver_targets() == before
+    assert before["mujoco"] == "drivers.mujoco:make_fetch"
 
 
 def test_two_packages_cannot_claim_one_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,8 @@ from typing import Self
 from drivers.remote import ZenohDriver, link_options
 
 START_S = 60.0
+PATIENT = ("--deadman", "2")
+"""For tests of something else than the deadman: a busy machine may keep a client waiting."""
 
 
 def free_port() -> int:

@@ -32,11 +32,14 @@ from tests.remote.limits import assert_within_limits
 from tests.remote.observer import Observer
 from tests.remote.served import ServedRobot, eventually
 
+pytestmark = pytest.mark.real_time
+
 TICKS = 80
 PATIENCE_S = 60.0
 LATEST_TICKS = 3
 """A command may be two ticks old when it comes, and moves the robot in the tick after."""
 CUT_S = 3.0
+EPISODES = 5
 WATCHDOG_TICKS = 5  # 0.2 s
 STILL = 5e-3
 
@@ -164,8 +167,8 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
         link.faults = NO_FAULTS
         drive.driver.close()
         begun = len(observer.seen)
-        drive.run(20)
-        assert eventually(lambda: len(_applied(observer.seen[begun:])) >= 15), (
+        drive.run(40)
+        assert eventually(lambda: len(_applied(observer.seen[begun:])) >= 10), (
             "on a good link the same client moves the robot"
         )
         drive.driver.close()
@@ -224,12 +227,12 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
     ):
         options: dict[str, Any] = {
             "connect": [link.endpoint],
-            "timeout_s": 0.5,
-            "reset_timeout_s": 1.0,
+            "timeout_s": 1.0,
+            "reset_timeout_s": 20.0,
         }
         env = make_env("reach", "zenoh", **options)
         before, charged = _status(observer)["total_ticks"]["motion"], 0
-        for episode in range(5):
+        for episode in range(EPISODES):
             link.faults = NO_FAULTS  # the requests of a reset are not what is tested here
             env.reset(seed=episode)
             link.faults = FAULTS["drop"]
@@ -253,4 +256,5 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
     assert steps >= 10
     assert unseen > 0
     assert link.passed[TO_HOST, "cmd"] >= steps / 2
-    assert abs(spent - charged) <= 8 * 5 + 2
+    apart = aborted * (WATCHDOG_TICKS + 1) + 2 * (EPISODES - aborted)
+    assert abs(spent - charged) <= apart, "but for the ends of episodes both count the same ticks"

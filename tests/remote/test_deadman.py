@@ -15,6 +15,8 @@ from drivers import Mode
 from tests.remote.observer import Observer
 from tests.remote.served import ServedRobot, eventually
 
+pytestmark = pytest.mark.real_time
+
 WATCHDOG_TICKS = 5  # 0.2 s
 BRAKING_TICKS = 2
 MOVING = 0.2  # rad/s and m/s

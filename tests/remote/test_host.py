@@ -26,12 +26,14 @@ from drivers.remote.messages import ArmRequest, Empty, Leased, LeaseRequest
 from drivers.wire import pack
 from iher_robot.controller import make_controller
 from tests.remote.observer import Observer
-from tests.remote.served import ServedRobot, eventually, free_port, is_running
+from tests.remote.served import PATIENT, ServedRobot, eventually, free_port, is_running
+
+pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[ServedRobot]:
-    with ServedRobot(tmp_path / "memory") as host:
+    with ServedRobot(tmp_path / "memory", *PATIENT) as host:
         yield host
 
 

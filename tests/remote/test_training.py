@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from iher_robot.ledger import Ledger
-from tests.remote.served import ServedRobot, eventually, free_port
+from tests.remote.served import PATIENT, ServedRobot, eventually, free_port
 
 BUDGET_MINUTES = 0.12
 BUDGET_TICKS = 180
@@ -28,13 +28,13 @@ def _episodes(out: Path) -> int:
 
 def test_a_run_goes_on_when_its_robot_comes_back(tmp_path: Path) -> None:
     port, out = free_port(), tmp_path / "run"
-    with ServedRobot(tmp_path / "memory", port=port) as first:
+    with ServedRobot(tmp_path / "memory", *PATIENT, port=port) as first:
         run = _train(first, out)
         try:
             assert eventually(lambda: _episodes(out) >= 1, 60.0), "it collects"
             first.kill()
             before = _episodes(out)
-            with ServedRobot(tmp_path / "memory", port=port):
+            with ServedRobot(tmp_path / "memory", *PATIENT, port=port):
                 printed, _ = run.communicate(timeout=180.0)
         finally:
             run.kill()
