@@ -96,6 +96,8 @@ class Host:
                 self._intervene()
             for process, what in ((self._robot, "robot process"), (self._gateway, "gateway")):
                 if not process.is_alive():
+                    if process is self._robot:
+                        self._hold_from_outside()
                     raise HostFailed(
                         f"the {what} of {self._settings.name!r} ended by itself with exit code "
                         f"{process.exitcode}; the robot is held; see its messages above, then "
@@ -124,16 +126,24 @@ class Host:
         overdue_ms = 1e3 * self._vitals.overdue_s
         # It may wake up at any time and go on as if nothing had happened.
         self._robot.kill()
-        if self._holder is not None:
-            self._holder()
         self._robot.join()
         reason = f"the control loop was frozen (by {overdue_ms:.0f} ms when it was seen)"
+        self._hold_from_outside()
         LatchedFault(self._settings.memory_path).keep(Fault(WATCHDOG_FAULT, reason, 0))
         raise HostFailed(
             f"robot {self._settings.name!r}: {reason}; it was ended, the robot is held and the "
             "fault latched; find out why, start the host again, then: iher-robot clear-fault "
             f"{WATCHDOG_FAULT}"
         )
+
+    def _hold_from_outside(self) -> None:
+        """Hold a robot whose process is gone, where its driver's package says how."""
+        if self._holder is None:
+            return  # the robot's own hold on silence does
+        try:
+            self._holder()
+        except Exception:  # whatever a holder raises, the fault must still be latched
+            log.exception("the holder of %r failed; use the robot's own stop", self._settings.name)
 
     def _begin(self, target: Callable[..., None], end: socket.socket) -> SpawnProcess:
         receiving, sending = self._context.Pipe(duplex=False)
