@@ -150,6 +150,11 @@ class RobotDriver(RobotHooks):
         return min(self._speed_scale, self._speed_limit)
 
     @property
+    def after_human_help(self) -> bool:
+        """Whether a human was asked for, and no reset was done since."""
+        return not self._hands_clear or self._speed_scale < 1.0
+
+    @property
     def paces_itself(self) -> bool:
         """Whether `advance` takes as long as a tick; a simulation is as fast as it can."""
         return not isinstance(self._clock, SimulatedClock)
@@ -216,6 +221,7 @@ class RobotDriver(RobotHooks):
         """Close the command gate and hold. Idempotent, from any thread."""
         self._gate.disarm()
         with self._hooks:
+            self._gate.disarm()  # an arm in progress may have opened it meanwhile
             if self._open_now:
                 self._hold()
 
@@ -223,6 +229,7 @@ class RobotDriver(RobotHooks):
         """Disarm, hold and disconnect. Idempotent, from any thread; a fault stays latched."""
         self._gate.disarm()  # at once, and not only when a tick in progress is over
         with self._hooks:
+            self._gate.disarm()  # an arm in progress may have opened it meanwhile
             if not self._open_now:
                 return
             try:

@@ -6,6 +6,7 @@ a message holds maps, lists, text, numbers and arrays, the latter as ``[dtype, s
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
@@ -55,11 +56,15 @@ def _read_array(value: object) -> NDArray[np.float64]:
         raise ValueError("no array of the form [dtype, shape, bytes]")
     dtype, shape, data = value
     if dtype != _DTYPE:
-        raise ValueError(f"dtype is {dtype!r:.20}, allowed: {_DTYPE!r}")
+        raise ValueError(f"dtype is {reprlib.repr(dtype):.20}, allowed: {_DTYPE!r}")
     if not isinstance(shape, list) or len(shape) > _MAX_DIMENSIONS:
-        raise ValueError(f"shape is {shape!r:.40}, allowed: at most {_MAX_DIMENSIONS} dimension")
+        raise ValueError(
+            f"shape is {reprlib.repr(shape):.40}, allowed: at most {_MAX_DIMENSIONS} dimension"
+        )
     if not all(type(size) is int and 0 <= size <= _MAX_LENGTH for size in shape):
-        raise ValueError(f"shape is {shape!r:.40}, allowed: sizes from 0 to {_MAX_LENGTH}")
+        raise ValueError(
+            f"shape is {reprlib.repr(shape):.40}, allowed: sizes from 0 to {_MAX_LENGTH}"
+        )
     count = int(np.prod(shape, dtype=np.int64))
     if not isinstance(data, bytes) or len(data) != 8 * count:
         raise ValueError(f"an array of shape {shape} has {8 * count} bytes")
@@ -136,7 +141,8 @@ def unpack_map(data: bytes) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise WireError("malformed", f"message is {type(content).__name__}, allowed: a map")
     if content.get("v") != VERSION or type(content.get("v")) is not int:
-        raise WireError("version", f"version is {content.get('v')!r:.20}, allowed: {VERSION}")
+        found = reprlib.repr(content.get("v"))  # bounded in depth, which repr is not
+        raise WireError("version", f"version is {found:.20}, allowed: {VERSION}")
     return content
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -16,12 +17,13 @@ from drivers import errors
 from drivers.errors import DriverError, LinkLost
 from drivers.remote.keys import robot_key
 from drivers.remote.link import LinkOptions, open_session
-from drivers.remote.messages import Reply, StopRequest
+from drivers.remote.messages import FAULT_NAME, Reply, StopRequest
 from drivers.remote.publishing import real_time_publisher
 from drivers.wire import Message, WireError, pack, unpack
 
 log = logging.getLogger(__name__)
 
+_LONGEST_REASON = 4000
 _AGAIN_S = 0.1
 """Pause between two attempts to stop a robot that did not acknowledge."""
 
@@ -73,7 +75,10 @@ class RobotClient:
 
     def send(self, command: bytes) -> None:
         """Publish a command; it is dropped where the link is congested."""
-        self._commands.put(command)
+        try:
+            self._commands.put(command)
+        except zenoh.ZError as error:
+            raise LinkLost(f"a command cannot be sent to {self._robot}: {error}") from error
 
     def request(self, name: str, message: Message, timeout_s: float | None = None) -> Reply:
         """Ask the host.
@@ -137,7 +142,9 @@ class RobotClient:
         Raises:
             LinkLost: None came. The robot may be moving.
         """
-        message = StopRequest(fault=fault, reason=reason)
+        if not re.fullmatch(FAULT_NAME, fault):  # whatever its name, the robot must stop
+            fault, reason = "emergency_stop", f"{fault!r}: {reason}"
+        message = StopRequest(fault=fault, reason=reason[:_LONGEST_REASON])
         deadline = time.monotonic() + patience_s
         while True:
             try:

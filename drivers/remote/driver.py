@@ -6,7 +6,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -19,7 +19,7 @@ from drivers.command import (
     ResetResult,
 )
 from drivers.driver import RobotDriver
-from drivers.errors import DriverError, LeaseRefused, LinkLost, StaleState
+from drivers.errors import DriverError, LeaseRefused, LifecycleError, LinkLost, StaleState
 from drivers.gate import Fault
 from drivers.remote.client import RobotClient
 from drivers.remote.lease import ClientLease
@@ -143,9 +143,21 @@ class ZenohDriver(RobotDriver):
         with self._connected() as client:
             client.request("clear_fault", ClearFaultRequest(name=name))
         self._confirmed_stop = None
-        fault = self.fault
-        if fault is not None:
-            self._gate.clear(fault.name)
+        self._unlatch()
+
+    def confirm_hands_clear(self) -> None:
+        """Confirm that nobody is in reach; the host knows whether a human was asked for.
+
+        Raises:
+            LifecycleError: If no human was asked for, by this client or an earlier one.
+        """
+        with self._hooks:
+            known, self._hands_clear = self._hands_clear, False
+            try:
+                super().confirm_hands_clear()
+            except BaseException:
+                self._hands_clear = known
+                raise
 
     # Hooks
 
@@ -169,7 +181,7 @@ class ZenohDriver(RobotDriver):
             self._confirm_stop(client, fault)
         else:  # the host knew of it, and an operator has cleared it since
             self._confirmed_stop = None
-            self._gate.clear(fault.name)
+            self._unlatch()
 
     def _close(self) -> None:
         client, self._client = self._client, None
@@ -200,7 +212,13 @@ class ZenohDriver(RobotDriver):
             return
         try:
             with self._connected() as client:
-                self._confirm_stop(client, fault)
+                try:
+                    self._confirm_stop(client, fault)
+                except LinkLost:
+                    if self._client is client:
+                        raise
+                    with RobotClient(self.options) as short:  # it was closed meanwhile
+                        self._confirm_stop(short, fault)
         except DriverError as error:
             log.error("%s", error)
 
@@ -278,11 +296,15 @@ class ZenohDriver(RobotDriver):
             self._confirmed_stop = state.seq
         elif self._confirmed_stop is not None and state.seq > self._confirmed_stop:
             self._confirmed_stop = None
-            fault = self.fault
-            if fault is not None:  # an operator has cleared it
-                self._gate.clear(fault.name)
+            self._unlatch()  # an operator has cleared it
         if self._armed_at is not None and state.seq > self._armed_at and not info.armed:
             self._gate.disarm()
+
+    def _unlatch(self) -> None:
+        fault = self.fault
+        if fault is not None:
+            with suppress(LifecycleError):  # another thread was first
+                self._gate.clear(fault.name)
 
     def _lose(self, error: DriverError) -> None:
         self._lost = error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -10,6 +11,10 @@ from pydantic import Field
 from drivers.command import Command, EndEffectorCommand, JointCommand
 from drivers.wire import Array, Count, Message, Name, Text, WireError, check, unpack_map
 
+FAULT_NAME = r"^[a-z0-9][a-z0-9_-]{0,63}$"
+"""An operator must be able to type it."""
+
+FaultName = Annotated[str, Field(pattern=FAULT_NAME)]
 Speed = Annotated[float, Field(gt=0, le=1)]
 Time = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
@@ -87,7 +92,7 @@ def check_command(content: Mapping[str, object]) -> CommandMessage:
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
         raise WireError(
-            "malformed", f"kind is {kind!r:.40}, allowed: {', '.join(map(str, _KINDS))}"
+            "malformed", f"kind is {reprlib.repr(kind):.40}, allowed: {', '.join(map(str, _KINDS))}"
         )
     return check(_KINDS[kind], content)
 
@@ -184,7 +189,7 @@ class ResetMessage(Leased):
 class StopRequest(Message):
     """Stop and latch. Anybody may."""
 
-    fault: Name
+    fault: FaultName
     reason: Text
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
+
+log = logging.getLogger(__name__)
 
 _CHANNEL = 1024
 
@@ -58,7 +61,11 @@ class Arrivals:
             take: Deals with a message.
         """
         while (message := self._waiting.get()) is not None:
-            take(message)
+            try:
+                take(message)
+            except Exception:  # one bad message must not silence a key for good
+                log.exception("a message could not be dealt with")
+                self._refuse("malformed")
 
     def _sort(self, message: Any) -> None:
         if message.payload is not None and len(message.payload) > self._most_bytes:

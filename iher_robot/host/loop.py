@@ -186,17 +186,22 @@ class ControlLoop:
 
     def _read_channel(self) -> None:
         """Sort what arrives, in a thread of its own: a stop waits for no tick and no reset."""
-        while (note := self._channel.receive()) is not None:
-            if note.kind == "request" and note.name == "stop":
-                reply = self._requests.answer("stop", note.body)
-                self._channel.send(Note("reply", note.number, "stop", reply))
-            elif note.kind == "stop":
-                self._requests.answer("stop", note.body)
-            elif note.kind in _MAY_BE_REFUSED and self._inbox.qsize() >= _WAITING_NOTES:
-                self._desk.refuse(_MAY_BE_REFUSED[note.kind])
-            else:
-                self._inbox.put(note)
-        self._gateway_gone.set()
+        try:
+            while (note := self._channel.receive()) is not None:
+                self._sort(note)
+        finally:  # a host that hears no stop must not go on
+            self._gateway_gone.set()
+
+    def _sort(self, note: Note) -> None:
+        if note.kind == "request" and note.name == "stop":
+            reply = self._requests.answer("stop", note.body)
+            self._channel.send(Note("reply", note.number, "stop", reply))
+        elif note.kind == "stop":
+            self._requests.answer("stop", note.body)
+        elif note.kind in _MAY_BE_REFUSED and self._inbox.qsize() >= _WAITING_NOTES:
+            self._desk.refuse(_MAY_BE_REFUSED[note.kind])
+        else:
+            self._inbox.put(note)
 
     def _let_go_of_the_silent(self) -> None:
         armed = self._robot.driver.is_armed

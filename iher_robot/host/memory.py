@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -51,10 +52,15 @@ class LatchedFault:
         """No tick counted so far is above it."""
         return int(self._content["ticks"])
 
-    def keep(self, fault: Fault | None) -> None:
-        """Write down the latched fault, if it is another one than before."""
-        found = None if fault is None else {"name": fault.name, "reason": fault.reason}
+    def keep(self, latched: Callable[[], Fault | None]) -> None:
+        """Write down the latched fault, if it is another one than before.
+
+        Args:
+            latched: Returns it. Asked under the lock: an older answer must not replace a newer.
+        """
         with self._lock:
+            fault = latched()
+            found = None if fault is None else {"name": fault.name, "reason": fault.reason}
             if found != self._content["fault"]:
                 self._write(self._content | {"fault": found})
 

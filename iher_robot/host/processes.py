@@ -129,7 +129,8 @@ class Host:
         self._robot.join()
         reason = f"the control loop was frozen (by {overdue_ms:.0f} ms when it was seen)"
         self._hold_from_outside()
-        LatchedFault(self._settings.memory_path).keep(Fault(WATCHDOG_FAULT, reason, 0))
+        memory = LatchedFault(self._settings.memory_path)
+        memory.keep(lambda: memory.fault or Fault(WATCHDOG_FAULT, reason, 0))  # the first is kept
         raise HostFailed(
             f"robot {self._settings.name!r}: {reason}; it was ended, the robot is held and the "
             "fault latched; find out why, start the host again, then: iher-robot clear-fault "

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from drivers.command import ResetOutcome, ResetRequest
-from drivers.errors import DriverError, InvalidRequest, LeaseRefused, LinkLost
+from drivers.errors import DriverError, HandsNotClear, InvalidRequest, LeaseRefused, LinkLost
 from drivers.remote.messages import (
     ArmRequest,
     ClearFaultRequest,
@@ -111,10 +111,7 @@ class RequestDesk:
     def stop(self, body: bytes) -> Result:
         """Stop and latch; from any thread."""
         request = unpack(StopRequest, body)
-        if not request.fault:
-            raise InvalidRequest("the fault of a stop has no name; give it one")
-        self._robot.driver.stop(request.reason, request.fault)
-        self._robot.keep_fault()  # before it is acknowledged
+        self._robot.stop(request.reason, request.fault)  # on disk before it is acknowledged
         return {}
 
     def published(self, seq: int) -> None:
@@ -159,12 +156,18 @@ class RequestDesk:
         if request.op == "acquire":
             scene = request.scene or self._robot.scene
             self._describe(scene)  # before anything changes
+            if scene != self._robot.scene and self._robot.driver.after_human_help:
+                raise HandsNotClear(
+                    f"{self._robot.spec.name} asked for a human; confirm that hands are clear and "
+                    "reset it before another scene"
+                )
             token = self._lease.acquire(request.session, request.holder)
             self.disarm("")  # of whoever had it before
             if scene != self._robot.scene:
                 self._slow()
                 self._robot.use(scene)
                 self._desk.forget()
+                self._lease.heard()  # loading took its time
             return {"token": token, "ttl_s": self._lease.ttl_s}
         self._lease.require(request.token)
         if request.op == "release":
@@ -203,12 +206,14 @@ class RequestDesk:
         self._slow()
         self._robot.driver.limit_speed(request.speed)
         before = self._robot.state().stamp_ns
-        result = self._robot.driver.reset(ResetRequest(places, request.seed))
-        self._desk.forget()
-        self._lease.heard()
-        after = self._robot.state()
-        elapsed = (after.stamp_ns - before) // self._robot.spec.control_period_ns
-        self._total.add("reset", max(1, elapsed))
+        try:
+            result = self._robot.driver.reset(ResetRequest(places, request.seed))
+        finally:  # one that failed may have moved, too
+            self._desk.forget()
+            self._lease.heard()
+            after = self._robot.state()
+            elapsed = (after.stamp_ns - before) // self._robot.spec.control_period_ns
+            self._total.add("reset", elapsed)
         self.published(after.seq)
         if result.outcome is ResetOutcome.FAILED:
             log.warning("reset of %s failed: %s", self._robot.spec.name, result.message)

@@ -89,10 +89,13 @@ class ServedRobot:
         driver = self._make(scene)
         self.driver.disarm()
         last = self.state().seq
-        self.driver.close()
-        self.driver, self.scene, self.spec = driver, scene, self.describe(scene)
+        old, spec = self.driver, self.describe(scene)
+        old.close()
+        self.driver, self.scene, self.spec = driver, scene, spec
         self._seen.clear()
         self._latch_again()
+        if old.fault is not None:  # a stop came meanwhile
+            driver.stop(old.fault.reason, old.fault.name)
         self.driver.open()
         self._ahead = last + 1 - self.driver.measure().seq
 
@@ -130,8 +133,8 @@ class ServedRobot:
         Raises:
             InvalidRequest: Nobody asked for poses of this object, or it is not of this robot.
         """
-        if name not in self._perception:
-            wanted = ", ".join(sorted(self._perception)) or "of none"
+        if name not in self._perception or name not in self.spec.objects:
+            wanted = ", ".join(sorted(self._perception & self.spec.objects.keys())) or "of none"
             raise InvalidRequest(f"pose of {name!r:.40} is not asked for; poses wanted: {wanted}")
         frame = self.spec.objects[name].frame
         if message.frame != frame:
@@ -150,9 +153,23 @@ class ServedRobot:
         if known is None or message.n > known[0].n:
             self._seen[name] = (message, self._clock.now_ns())
 
+    def stop(self, reason: str, fault: str) -> None:
+        """Stop, latch and write it down; from any thread, whatever scene is being loaded.
+
+        Args:
+            reason: What happened, in words.
+            fault: Name under which it latches.
+        """
+        while True:
+            driver = self.driver
+            driver.stop(reason, fault)
+            self.keep_fault()
+            if driver is self.driver:
+                return
+
     def keep_fault(self) -> None:
         """Write down the latched fault, if it has changed."""
-        self._memory.keep(self.driver.fault)
+        self._memory.keep(lambda: self.driver.fault)
 
     def _pose(self, name: str, now_ns: int) -> ObjectPose:
         message, received_ns = self._seen[name]

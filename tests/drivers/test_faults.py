@@ -249,3 +249,28 @@ def test_while_a_measurement_is_not_finite_nothing_moves(robot: FakeRobot, bad: 
     assert robot.refusals == {Refusal.BAD_MEASUREMENT: 1}
     robot.advance()
     assert robot.applied is None
+
+
+class SlowToArm(FakeRobot):
+    def __init__(self) -> None:
+        super().__init__()
+        self.arming, self.may_arm = threading.Event(), threading.Event()
+
+    def _prepare_to_arm(self) -> None:
+        self.arming.set()
+        assert self.may_arm.wait(10.0)
+
+
+@pytest.mark.parametrize("call", ["disarm", "close"])
+def test_an_arm_in_progress_does_not_outlive_a_disarm(call: str) -> None:
+    robot = SlowToArm()
+    robot.open()
+    arming = threading.Thread(target=robot.arm)
+    arming.start()
+    assert robot.arming.wait(10.0)
+    ending = threading.Thread(target=getattr(robot, call))
+    ending.start()
+    robot.may_arm.set()
+    arming.join(10.0)
+    ending.join(10.0)
+    assert not robot.is_armed

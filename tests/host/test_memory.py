@@ -13,11 +13,11 @@ from iher_robot.host.memory import LatchedFault, RobotTotal
 
 
 def test_a_fault_is_remembered_until_it_is_cleared(tmp_path: Path) -> None:
-    LatchedFault(tmp_path).keep(Fault("emergency_stop", "someone walked in", 5))
+    LatchedFault(tmp_path).keep(lambda: Fault("emergency_stop", "someone walked in", 5))
     remembered = LatchedFault(tmp_path).fault
     assert remembered is not None
     assert (remembered.name, remembered.reason) == ("emergency_stop", "someone walked in")
-    LatchedFault(tmp_path).keep(None)
+    LatchedFault(tmp_path).keep(lambda: None)
     assert LatchedFault(tmp_path).fault is None
 
 
@@ -70,7 +70,8 @@ def test_a_stop_may_be_written_while_the_loop_writes(tmp_path: Path) -> None:
     def keep() -> None:
         try:
             for index in range(50):
-                memory.keep(Fault("f", f"{threading.get_ident()} {index}", 0))
+                fault = Fault("f", f"{threading.get_ident()} {index}", 0)
+                memory.keep(lambda fault=fault: fault)  # type: ignore[misc]
         except UserError as error:
             problems.append(error)
 

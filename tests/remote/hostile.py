@@ -187,6 +187,9 @@ class HostileMessages:
         depth = int(self._rng.integers(2, 2000))
         if self._rng.random() < 0.5:
             return b"\x91" * depth + b"\xc0", "malformed"
+        if self._rng.random() < 0.3:
+            # MessagePack still reads this; what describes it must not fail on it.
+            return b"\x81\xa1v" + b"\x91" * min(depth, 1015) + b"\xc0", "version"
         head = pack(self._command())[1:]
         return b"\x8b" + head + b"\xa1x" + b"\x81\xa1x" * depth + b"\xc0", "malformed"
 
@@ -208,7 +211,9 @@ class HostileMessages:
     def _stop(self) -> tuple[bytes, str]:
         content: dict[str, object] = {"v": 1, "fault": "hostile", "reason": "none"}
         if self._rng.random() < 0.3:
-            return pack(content | {"fault": ""}), "refused"
+            return pack(
+                content | {"fault": self._one(("", "no\x00name\x1b[2J", "A b"))}
+            ), "malformed"
         name = self._one(("fault", "reason"))
         return pack(content | {name: self._one((None, 7, "x" * 5000, ["x"]))}), "malformed"
 

@@ -1,0 +1,64 @@
+"""A stop, a pose and a human's help while the scene of a served robot changes."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import InvalidRequest, SimulatedClock
+from drivers.remote.messages import ObjectMessage
+from iher_robot.host.memory import LatchedFault
+from iher_robot.host.served_robot import ServedRobot
+from tests.drivers.fake_robot import FakeRobot
+
+
+class SlowToClose(FakeRobot):
+    def __init__(self) -> None:
+        super().__init__()
+        self.closing, self.may_close = threading.Event(), threading.Event()
+
+    def _close(self) -> None:
+        self.closing.set()
+        assert self.may_close.wait(10.0)
+        super()._close()
+
+
+def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path: Path) -> None:
+    memory, first = LatchedFault(tmp_path), SlowToClose()
+    drivers = [first, FakeRobot()]
+    robot = ServedRobot(lambda _: drivers.pop(0), "push", memory, (), SimulatedClock())
+    robot._specs["slide"] = robot.spec
+    robot.open()
+    changing = threading.Thread(target=robot.use, args=("slide",))
+    changing.start()
+    assert first.closing.wait(10.0)
+    stopping = threading.Thread(target=robot.stop, args=("someone walked in", "emergency_stop"))
+    stopping.start()
+    first.may_close.set()
+    changing.join(10.0)
+    stopping.join(10.0)
+    assert robot.driver is not first
+    assert robot.driver.fault is not None
+    assert robot.driver.fault.reason == "someone walked in"
+    assert LatchedFault(tmp_path).fault is not None, "and it outlives the host"
+
+
+def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) -> None:
+    robot = ServedRobot(
+        lambda _: FakeRobot(), "push", LatchedFault(tmp_path), ("object0",), SimulatedClock()
+    )
+    robot.spec = robot.spec.__class__(**{**vars(robot.spec), "objects": {}})
+    pose = ObjectMessage(
+        n=1,
+        age_s=0.0,
+        frame="world",
+        pos=np.zeros(3),
+        quat=np.array([1.0, 0.0, 0.0, 0.0]),
+        linvel=np.zeros(3),
+        angvel=np.zeros(3),
+    )
+    with pytest.raises(InvalidRequest, match="not asked for"):
+        robot.see("object0", pose)
