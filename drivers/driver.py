@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import ClassVar, Self
 
 from drivers.clock import Clock, MonotonicClock, SimulatedClock
+from drivers.closing import Closing
 from drivers.command import (
     Acceptance,
     Command,
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 EMERGENCY_STOP = "emergency_stop"
 
 
-class RobotDriver(RobotHooks):
+class RobotDriver(RobotHooks, Closing):
     """A robot, simulated or real. This text is the contract.
 
     **Description.** `spec` needs no connection. Two digests in it stand for the robot: the
@@ -269,14 +269,6 @@ class RobotDriver(RobotHooks):
         if not self._open_now:
             self.open()
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     # The control tick
 

@@ -8,27 +8,19 @@ from typing import Annotated
 import typer
 
 from iher_robot.cli_interrupts import told_when_interrupted
-from iher_robot.cli_options import AcceptInterfaceOption, ConnectOption
+from iher_robot.cli_options import (
+    AcceptInterfaceOption,
+    ConnectOption,
+    OwnDriverOption,
+    OwnRobotOption,
+    PolicyTaskOption,
+)
 
 
 def deploy(
     policy: Annotated[Path, typer.Argument(help="The policy.pt of a run.", show_default=False)],
-    driver: Annotated[
-        str | None,
-        typer.Option(
-            help="What moves: a robot driver's name, by default what the robot's file names, or "
-            "zenoh.",
-            show_default=False,
-        ),
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="A robot's name or a YAML file, by default robot.yaml if it is there, or fetch.",
-            show_default=False,
-        ),
-    ] = None,
+    driver: OwnDriverOption = None,
+    robot: OwnRobotOption = None,
     connect: ConnectOption = None,
     episodes: Annotated[int, typer.Option(help="Episodes to run.")] = 10,
     speed: Annotated[
@@ -50,10 +42,7 @@ def deploy(
             show_default=False,
         ),
     ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option(help="Refuse a policy for another task than this.", show_default=False),
-    ] = None,
+    task: PolicyTaskOption = None,
     accept_body: Annotated[
         bool,
         typer.Option("--accept-body", help="Run a policy that was trained on another body."),

@@ -12,6 +12,7 @@ from iher_robot.cli_options import (
     AcceptInterfaceOption,
     ConnectOption,
     DriverOption,
+    PolicyTaskOption,
     RobotOption,
 )
 
@@ -29,10 +30,7 @@ def evaluate(
     driver: DriverOption = None,
     robot: RobotOption = None,
     connect: ConnectOption = None,
-    task: Annotated[
-        str | None,
-        typer.Option(help="Refuse a policy for another task than this.", show_default=False),
-    ] = None,
+    task: PolicyTaskOption = None,
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
     """Measure a policy's success rate over fresh episodes."""

@@ -8,32 +8,14 @@ from typing import Annotated
 import typer
 
 from iher_robot.cli_interrupts import told_when_interrupted
-from iher_robot.cli_options import ConnectOption
+from iher_robot.cli_options import ConnectOption, OwnDriverOption, OwnRobotOption
 
 _FAILED = 1
 
-DriverOfRobot = Annotated[
-    str | None,
-    typer.Option(
-        "--driver",
-        help="What moves: a robot driver's name, by default what the robot's file names, or zenoh.",
-        show_default=False,
-    ),
-]
-OwnRobot = Annotated[
-    str | None,
-    typer.Option(
-        "--robot",
-        metavar="NAME|FILE",
-        help="A robot's name or a YAML file, by default robot.yaml if it is there, or fetch.",
-        show_default=False,
-    ),
-]
-
 
 def doctor(
-    driver: DriverOfRobot = None,
-    robot: OwnRobot = None,
+    driver: OwnDriverOption = None,
+    robot: OwnRobotOption = None,
     connect: ConnectOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
@@ -52,12 +34,10 @@ def doctor(
 
 
 def home(
-    driver: DriverOfRobot = None,
-    robot: OwnRobot = None,
+    driver: OwnDriverOption = None,
+    robot: OwnRobotOption = None,
     connect: ConnectOption = None,
-    speed: Annotated[
-        float, typer.Option(help="Share of full speed for what its driver moves by commands.")
-    ] = 0.25,
+    speed: Annotated[float, typer.Option(help="Share of full speed of the way home.")] = 0.25,
     yes: Annotated[bool, typer.Option("--yes", help="Move without a question.")] = False,
 ) -> None:
     """Bring a robot home; it is left held and disarmed."""
@@ -71,7 +51,7 @@ def home(
 
 
 def stop(
-    robot: OwnRobot = None,
+    robot: OwnRobotOption = None,
     connect: ConnectOption = None,
     reason: Annotated[str, typer.Option(help="What happened.")] = "stopped by the operator",
     patience: Annotated[float, typer.Option(help="How long to try, s.")] = 5.0,
@@ -95,7 +75,7 @@ def stop(
 
 def clear_fault(
     name: Annotated[str, typer.Argument(help="Name of the latched fault.", show_default=False)],
-    robot: OwnRobot = None,
+    robot: OwnRobotOption = None,
     connect: ConnectOption = None,
 ) -> None:
     """Unlatch a robot's fault, by its name. It never arms."""

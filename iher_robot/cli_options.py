@@ -23,6 +23,30 @@ RobotOption = Annotated[
     ),
 ]
 
+OwnDriverOption = Annotated[
+    str | None,
+    typer.Option(
+        "--driver",
+        help="What moves: a robot driver's name, by default what the robot's file names, or zenoh.",
+        show_default=False,
+    ),
+]
+
+OwnRobotOption = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        metavar="NAME|FILE",
+        help="A robot's name or a YAML file, by default robot.yaml if it is there, or fetch.",
+        show_default=False,
+    ),
+]
+
+PolicyTaskOption = Annotated[
+    str | None,
+    typer.Option("--task", help="Refuse a policy for another task than this.", show_default=False),
+]
+
 ConnectOption = Annotated[
     list[str] | None,
     typer.Option(

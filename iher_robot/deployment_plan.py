@@ -13,7 +13,12 @@ from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.homing import joints_outside, metres_from_home
 from iher_robot.latched import latched_sentence
-from iher_robot.policy_fit import Actor, body_differences, check_fit
+from iher_robot.policy_fit import (
+    Actor,
+    body_differences,
+    controller_warnings,
+    interface_warnings,
+)
 
 ACCEPT_BODY = "--accept-body"
 OK, WARNING, REFUSED = "ok", "warning", "refused"
@@ -154,20 +159,18 @@ def _robot(robot: ChosenRobot, spec: RobotSpec) -> Check:
 
 
 def _fit(actor: Actor, env: GoalRobotEnv, accept_interface: bool) -> list[Check]:
-    spec = env.robot_spec
     try:
-        sentences = check_fit(actor, env, accept_interface=accept_interface)
+        warnings = interface_warnings(actor, env, accept_interface=accept_interface)
     except UserError as error:
         return [Check("interface", str(error), REFUSED)]
-    checks = [Check("interface", f"{spec.interface_digest[:12]}, the policy's")]
-    if actor.file.interface_digest != spec.interface_digest:
-        named = [sentence for sentence in sentences if "another interface" in sentence]
-        checks = [Check("interface", sentence, WARNING) for sentence in named]
-    settings = dict(env.controller.settings)
-    if actor.file.controller == settings:
-        return [*checks, Check("controller", f"{settings['kind']}, set as the policy's")]
-    named = [sentence for sentence in sentences if "another controller" in sentence]
-    return [*checks, *(Check("controller", sentence, WARNING) for sentence in named)]
+    checks = [Check("interface", sentence, WARNING) for sentence in warnings]
+    if not checks:
+        checks = [Check("interface", f"{env.robot_spec.interface_digest[:12]}, the policy's")]
+    found = controller_warnings(actor, env)
+    if not found:
+        kind = env.controller.settings["kind"]
+        return [*checks, Check("controller", f"{kind}, set as the policy's")]
+    return [*checks, *(Check("controller", sentence, WARNING) for sentence in found)]
 
 
 def _body(actor: Actor, spec: RobotSpec, accepted: bool) -> Check:

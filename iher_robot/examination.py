@@ -10,7 +10,7 @@ from drivers.remote import LinkQuality
 from drivers.remote.state_stream import StateStream
 from drivers.remote.status import HostStatus
 from iher_robot import __version__
-from iher_robot.homing import HOME_TOLERANCE_M, joints_outside, metres_from_home
+from iher_robot.homing import joints_outside, metres_from_home, not_home_sentence
 from iher_robot.latched import latched_sentence
 
 _SLOW_SHARE = 0.5
@@ -74,13 +74,8 @@ class Examination:
         elif self.state is not None and self.state.mode == Mode.STOPPED:
             found.append(f"{name} is stopped, and no fault is named; start its host again")
         if self.homed and self.state is not None:
-            away_m = metres_from_home(self.spec, self.state)
-            if not away_m <= HOME_TOLERANCE_M:  # nan, too
-                found.append(
-                    f"after its reset the end effector of {name} is {away_m * 100:.1f} cm from "
-                    f"home, allowed: {HOME_TOLERANCE_M * 100:g} cm; check calibration and "
-                    "kinematic model"
-                )
+            sentence = not_home_sentence(self.spec, self.state)
+            found += [] if sentence is None else [sentence]
         if self.remote is not None:
             period_ms = 1e3 * self.spec.control_period_s
             found += _findings_of_link(self.remote, period_ms)

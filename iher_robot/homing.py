@@ -29,17 +29,30 @@ def require_home(spec: RobotSpec, state: RobotState) -> None:
     Raises:
         ResetFailed: Its end effector is elsewhere, or a joint is outside its range.
     """
-    away_m = metres_from_home(spec, state)
-    if not away_m <= HOME_TOLERANCE_M:  # nan, too
-        raise ResetFailed(
-            f"after its reset the end effector of {spec.name} is {away_m * 100:.1f} cm from home, "
-            f"allowed: {HOME_TOLERANCE_M * 100:g} cm; check calibration and kinematic model"
-        )
+    sentence = not_home_sentence(spec, state)
+    if sentence is not None:
+        raise ResetFailed(sentence)
     outside = joints_outside(spec, state)
     if outside:
         raise ResetFailed(
             f"after its reset {'; '.join(outside)} of {spec.name}; check calibration and limits"
         )
+
+
+def not_home_sentence(spec: RobotSpec, state: RobotState) -> str | None:
+    """Say that a reset did not bring the end effector home; None if it did.
+
+    Args:
+        spec: The robot.
+        state: Measured after the reset.
+    """
+    away_m = metres_from_home(spec, state)
+    if away_m <= HOME_TOLERANCE_M:  # never so of nan
+        return None
+    return (
+        f"after its reset the end effector of {spec.name} is {away_m * 100:.1f} cm from home, "
+        f"allowed: {HOME_TOLERANCE_M * 100:g} cm; check calibration and kinematic model"
+    )
 
 
 def joints_outside(spec: RobotSpec, state: RobotState) -> list[str]:

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Literal, get_args
 
+from drivers.closing import Closing
 from iher_robot.errors import UserError
 
 Account = Literal["motion", "reset", "idle", "evaluation", "deployment"]
@@ -65,7 +65,11 @@ class Entry:
         self._record(actual_ticks)
 
 
-class Ledger:
+class LedgerInUse(UserError):
+    """Another process holds a ledger."""
+
+
+class Ledger(Closing):
     """Append-only accounts of control ticks in one SQLite file; one process may hold it.
 
     A crash between reservation and settlement leaves the reservation counted: the ledger may
@@ -79,7 +83,8 @@ class Ledger:
         path: The file; created if it does not exist.
 
     Raises:
-        UserError: Another process holds it, it is no ledger, or cannot be written.
+        LedgerInUse: Another process holds it.
+        UserError: It is no ledger, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,7 +98,7 @@ class Ledger:
         except sqlite3.Error as error:
             self._connection.close()
             if error.sqlite_errorcode in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-                raise UserError(
+                raise LedgerInUse(
                     f"ledger {path} is in use: another run works in this folder, wait for it to "
                     "end or stop it"
                 ) from error
@@ -161,17 +166,6 @@ class Ledger:
     def close(self) -> None:
         """Release the file; closing twice does nothing."""
         self._connection.close()
-
-    def __enter__(self) -> Ledger:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class Budget:

@@ -38,7 +38,7 @@ _ANSWER_S = 0.5
 _AGAIN_S = 0.1
 _SETTLE_S = 0.3
 """How long a stopped robot is asked again while it still says that it moves."""
-_NAME_LENGTH, _REASON_LENGTH = 200, 4000
+_NAME_LENGTH = 200
 """What a message takes."""
 
 
@@ -66,7 +66,7 @@ def stop(robot: ChosenRobot, *, reason: str, patience_s: float) -> str:
         raise UserError(f"patience is {patience_s} s, allowed: above 0 and up to 3600 s")
     link = link_of(robot)
     deadline = time.monotonic() + patience_s
-    told = printable(reason)[:_REASON_LENGTH]
+    told = printable(reason)
     connect_s, problem = _CONNECT_S, ""
     try:
         while (left_s := deadline - time.monotonic()) > 0:
@@ -112,8 +112,7 @@ def home(
 
     Args:
         robot: The robot.
-        speed: Share of full speed for what its driver moves by commands; a reset is a motion of
-            the robot's own.
+        speed: Share of full speed of the way home.
         yes: Move without a question.
         operator: Asked before it moves, and for help.
         echo: Prints a line.

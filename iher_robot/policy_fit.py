@@ -70,6 +70,18 @@ def check_fit(
         UserError: The interface differs and is not accepted, or the action has another length.
     """
     file, spec = actor.file, env.robot_spec
+    found = interface_warnings(actor, env, accept_interface=accept_interface)
+    if file.body_digest != spec.body_digest:
+        changed_names = _changed(_saved_body(file), spec.body())
+        found.append(f"the policy was trained on another body, it differs in {changed_names}")
+    return (*found, *controller_warnings(actor, env))
+
+
+def interface_warnings(
+    actor: Actor, env: GoalRobotEnv, *, accept_interface: bool = False
+) -> list[str]:
+    """Refuse a robot of another interface, or name what differs; see `check_fit`."""
+    file, spec = actor.file, env.robot_spec
     found = []
     if file.interface_digest != spec.interface_digest:
         changed = _differences(file.spec, spec.to_dict(), spec.interface())
@@ -90,15 +102,16 @@ def check_fit(
             f"{actor.path} holds a policy of {actor.policy.shapes.action_dim} action values, the "
             f"robot takes {env.action_space.shape}; train it again"
         )
-    if file.body_digest != spec.body_digest:
-        changed_names = _changed(_saved_body(file), spec.body())
-        found.append(f"the policy was trained on another body, it differs in {changed_names}")
-    if file.controller != dict(env.controller.settings):
-        changed_names = _changed(file.controller, env.controller.settings)
-        found.append(
-            f"the policy was trained with another controller, it differs in {changed_names}"
-        )
-    return tuple(found)
+    return found
+
+
+def controller_warnings(actor: Actor, env: GoalRobotEnv) -> list[str]:
+    """Name what differs in the settings of the controller; empty if nothing does."""
+    trained, present = actor.file.controller, env.controller.settings
+    if trained == dict(present):
+        return []
+    changed_names = _changed(trained, present)
+    return [f"the policy was trained with another controller, it differs in {changed_names}"]
 
 
 def body_differences(file: PolicyFile, spec: RobotSpec) -> list[str]:

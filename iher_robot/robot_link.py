@@ -8,7 +8,7 @@ from drivers import InvalidSpec, RobotDriver, make_driver
 from drivers.remote import LinkOptions, ZenohDriver, link_options
 from iher_robot.chosen_robot import REMOTE_DRIVER, ChosenRobot
 from iher_robot.errors import UserError
-from iher_robot.host.processes import first_scene
+from iher_robot.host.first_scene import make_in_first_scene
 
 
 def link_of(robot: ChosenRobot) -> LinkOptions:
@@ -46,4 +46,4 @@ def make_robot(robot: ChosenRobot) -> RobotDriver:
     if robot.driver == REMOTE_DRIVER:
         return ZenohDriver(link_of(robot))
     make = partial(make_driver, robot.driver, **robot.options)
-    return make(scene=first_scene(lambda scene: make(scene=scene)))
+    return make_in_first_scene(lambda scene: make(scene=scene))[1]

@@ -23,7 +23,7 @@ from drivers.wire import VERSION, Message, Part, check, pack, pack_array, unpack
 from iher_robot.host.access import FOR_EVERYBODY, FOR_MOVERS, FOR_OPERATORS
 from iher_robot.host.channel import Channel, channel_ends
 from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import LatchedFault, RobotTotal
+from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
 from iher_robot.host.vital import Vitals
@@ -186,12 +186,12 @@ def _dataclasses_in(part: type) -> set[type]:
 
 def test_every_field_of_a_status_is_on_the_page(tmp_path: Path) -> None:
     clock, (one, other) = SimulatedClock(10**9), channel_ends()
-    served = ServedRobot(lambda _: FakeRobot(), "push", LatchedFault(tmp_path), (), clock)
+    served = ServedRobot(lambda _: FakeRobot(), "push", RobotMemory(tmp_path), (), clock)
     settings = HostSettings("fake", "fake", {}, ("tcp/127.0.0.1:1",), tmp_path)
     vitals = Vitals(multiprocessing.get_context("spawn"))
     with one, other, RobotTotal(tmp_path, "fake") as total:
         loop = ControlLoop(
-            settings, served, total, LatchedFault(tmp_path), Channel(other), vitals, clock
+            settings, served, total, RobotMemory(tmp_path), Channel(other), vitals, clock
         )
         served.open()
         reply = unpack(Reply, loop._requests.answer("status", pack(Empty())))

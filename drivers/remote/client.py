@@ -8,12 +8,12 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
 from drivers import errors
+from drivers.closing import Closing
 from drivers.errors import DriverError, LinkLost
 from drivers.remote.keys import robot_key
 from drivers.remote.link import LinkOptions, open_session
@@ -34,7 +34,7 @@ _ERRORS: dict[str, type[DriverError]] = {
 }
 
 
-class RobotClient:
+class RobotClient(Closing):
     """One session with the host of one robot. Every method may be called from any thread.
 
     Args:
@@ -157,17 +157,6 @@ class RobotClient:
                         f"{patience_s:g} s; use the robot's own emergency stop"
                     ) from error
                 time.sleep(_AGAIN_S)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the session; twice does nothing."""

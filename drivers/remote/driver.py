@@ -38,7 +38,7 @@ from drivers.remote.state_message import HostInfo
 from drivers.safety import SafetyFilter
 from drivers.spec import RobotSpec
 from drivers.state import RobotState
-from drivers.wire import pack
+from drivers.wire import VERSION, pack
 
 log = logging.getLogger(__name__)
 
@@ -351,7 +351,7 @@ class ZenohDriver(RobotDriver):
         return Leased(boot=self._lease.boot, token=self._lease.token)
 
     def _packed(self, command: Command | None, n: int, answers: int) -> bytes:
-        content = {"v": 1, "boot": self._lease.boot, "token": self._lease.token, "n": n}
+        content = {"v": VERSION, "boot": self._lease.boot, "token": self._lease.token, "n": n}
         return pack(content | {"answers": answers} | command_fields(command))
 
     def _since_open(self, which: int) -> Counter[str]:

@@ -52,6 +52,13 @@ def check_endpoint(endpoint: str) -> str:
     return endpoint
 
 
+def _some(endpoints: tuple[str, ...]) -> tuple[str, ...]:
+    # No bound of the field: of a wrong endpoint it would say that there is none at all, too.
+    if not endpoints:
+        raise ValueError("at least one endpoint is needed, such as tcp/127.0.0.1:7447")
+    return endpoints
+
+
 Endpoint = Annotated[str, AfterValidator(check_endpoint)]
 Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 
@@ -63,7 +70,7 @@ class LinkOptions(BaseModel):
 
     robot: str = Field(default="fetch", pattern=f"^{ROBOT_NAME}$")
     """Name of the robot on the network."""
-    connect: tuple[Endpoint, ...] = Field(default=("tcp/127.0.0.1:7447",), min_length=1)
+    connect: Annotated[tuple[Endpoint, ...], AfterValidator(_some)] = ("tcp/127.0.0.1:7447",)
     """Zenoh endpoints of its host, tried in turn."""
     tls: TlsFiles | None = None
     """Certificates; needed where the host listens on a tls endpoint."""

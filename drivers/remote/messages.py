@@ -115,6 +115,10 @@ def command_fields(command: Command | None) -> dict[str, Any]:
     return {"kind": command.kind} | {name: getattr(command, name) for name in names}
 
 
+POSE_SIZES = {"pos": 3, "quat": 4, "linvel": 3, "angvel": 3}
+"""Length of each array in the pose of an object."""
+
+
 class ObjectMessage(Message):
     """The pose of an object, as somebody else than the robot saw it."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.gate import Fault
-from drivers.remote.messages import check_command, command_fields
+from drivers.remote.messages import POSE_SIZES, check_command, command_fields
 from drivers.spec import RobotSpec
 from drivers.state import AppliedCommand, JointSetpoint, Mode, ObjectPose, RobotState
 from drivers.wire import (
@@ -236,7 +236,7 @@ def _check_shapes(message: StateMessage, spec: RobotSpec) -> None:
         found |= {f"setpoint.{name}": value for name, value in vars(message.setpoint).items()}
         sizes |= {"setpoint.q": joints, "setpoint.dq": joints, "setpoint.fingers": fingers}
     for name, pose in message.objects.items():
-        for field, size in (("pos", 3), ("quat", 4), ("linvel", 3), ("angvel", 3)):
+        for field, size in POSE_SIZES.items():
             found[f"{name}.{field}"], sizes[f"{name}.{field}"] = getattr(pose, field), size
     unknown = message.objects.keys() - spec.objects.keys()
     if unknown:

@@ -108,9 +108,12 @@ class CommandDesk:
         self._deadman.heard()
         if message.kind == "hold":
             return
-        age_ns = self._clock.now_ns() - self._published.get(message.answers, -(10**18))
-        if message.answers in self._published:
-            self._answered_ms.append(age_ns / 1e6)
+        published_ns = self._published.get(message.answers)
+        if published_ns is None:
+            self.refuse("expired")
+            return
+        age_ns = self._clock.now_ns() - published_ns
+        self._answered_ms.append(age_ns / 1e6)
         if age_ns > self._age_ticks * self._robot.spec.control_period_ns:
             self.refuse("expired")
             return

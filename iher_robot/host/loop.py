@@ -20,7 +20,7 @@ from drivers.wire import WireError, unpack
 from iher_robot.host.channel import Channel, Note
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.memory import LatchedFault, RobotTotal
+from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.requests import RequestDesk
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
@@ -53,7 +53,7 @@ class ControlLoop:
         settings: HostSettings,
         robot: ServedRobot,
         total: RobotTotal,
-        memory: LatchedFault,
+        memory: RobotMemory,
         channel: Channel,
         vitals: Vitals,
         clock: Clock,

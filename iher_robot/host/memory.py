@@ -7,13 +7,13 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from drivers.closing import Closing
 from drivers.gate import Fault
 from iher_robot.durable_file import read_file, write_atomically
 from iher_robot.errors import UserError
-from iher_robot.ledger import ACCOUNTS, Account, Entry, Ledger
+from iher_robot.ledger import ACCOUNTS, Account, Entry, Ledger, LedgerInUse
 
 _TICKS_AHEAD = 100_000
 """Ticks of the counter that are written down at once, a good hour at 25 Hz."""
@@ -21,7 +21,7 @@ _RESERVED_TICKS = 50
 """Ticks of motion that are written down before they begin."""
 
 
-class LatchedFault:
+class RobotMemory:
     """The latched fault and a ceiling of the tick counter, in one file.
 
     Raises:
@@ -76,7 +76,7 @@ class LatchedFault:
         self._content = content
 
 
-class RobotTotal:
+class RobotTotal(Closing):
     """The robot's own account of control ticks, over all learners and runs.
 
     Ticks are written down before they begin; after a crash it counts too much, never too little.
@@ -94,9 +94,7 @@ class RobotTotal:
         """
         try:
             self._ledger = Ledger(folder / "total.sqlite")
-        except UserError as error:
-            if "in use" not in str(error):
-                raise
+        except LedgerInUse as error:
             raise UserError(
                 f"robot {name!r} is served by another process already ({folder}); stop that one, "
                 "or serve under another --name"
@@ -137,15 +135,8 @@ class RobotTotal:
         """Ticks by account."""
         return {str(account): ticks for account, ticks in self._spent.items()}
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Settle what was written down, and release the file."""
         self.end()
         self._ledger.close()
 

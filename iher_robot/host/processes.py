@@ -24,7 +24,7 @@ from iher_robot.host.access import gateway_config
 from iher_robot.host.channel import Channel, channel_ends
 from iher_robot.host.gateway import Gateway
 from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import LatchedFault, RobotTotal
+from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.security import read_security
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
@@ -39,8 +39,6 @@ _END_S = 5.0
 _READY = b""
 _LOOP_PRIORITY = 20
 _GATEWAY_PRIORITY = 10
-_SCENES = ("push", "reach", "pick_and_place", "slide")
-"""Where a host may begin that serves any scene: the first that its driver has."""
 
 
 class HostFailed(UserError):
@@ -129,12 +127,13 @@ class Host:
         self._robot.join()
         reason = f"the control loop was frozen (by {overdue_ms:.0f} ms when it was seen)"
         self._hold_from_outside()
-        memory = LatchedFault(self._settings.memory_path)
-        memory.keep(lambda: memory.fault or Fault(WATCHDOG_FAULT, reason, 0))  # the first is kept
+        memory = RobotMemory(self._settings.memory_path)
+        kept = memory.fault or Fault(WATCHDOG_FAULT, reason, 0)  # the first stop is kept
+        memory.keep(lambda: kept)
         raise HostFailed(
             f"robot {self._settings.name!r}: {reason}; it was ended, the robot is held and the "
             "fault latched; find out why, start the host again, then: iher-robot clear-fault "
-            f"{WATCHDOG_FAULT}"
+            f"{kept.name}"
         )
 
     def _hold_from_outside(self) -> None:
@@ -189,11 +188,10 @@ def run_robot(
     _run_before_others(_LOOP_PRIORITY)
     clock = MonotonicClock()
     try:
-        memory = LatchedFault(settings.memory_path)
+        memory = RobotMemory(settings.memory_path)
         with RobotTotal(settings.memory_path, settings.name) as total:
             make = partial(_make_served, settings)
-            scene = settings.scene or first_scene(make)
-            robot = ServedRobot(make, scene, memory, settings.perception, clock)
+            robot = ServedRobot(make, settings.scene, memory, settings.perception, clock)
             loop = ControlLoop(settings, robot, total, memory, Channel(end), vitals, clock)
             loop.run(lambda: _say(starter, _READY))
     except (UserError, DriverError) as error:
@@ -232,27 +230,6 @@ def run_gateway(
 def _say(starter: Connection, problem: bytes) -> None:
     starter.send_bytes(problem)
     starter.close()
-
-
-def first_scene(make: Callable[[str], RobotDriver]) -> str:
-    """Return a scene that a driver has.
-
-    Args:
-        make: Makes the driver for a scene.
-
-    Raises:
-        ValueError: There is none; what the first was refused with.
-    """
-    refused: ValueError | None = None
-    for scene in _SCENES:
-        try:
-            make(scene)
-        except ValueError as error:  # InvalidSpec, UserError: what a factory refuses a scene with
-            refused = refused or error
-        else:
-            return scene
-    assert refused is not None
-    raise refused
 
 
 def _make_served(settings: HostSettings, scene: str) -> RobotDriver:

@@ -10,10 +10,11 @@ import numpy as np
 from drivers import ObjectPose, ObjectSource, RobotDriver, RobotSpec, RobotState
 from drivers.clock import Clock
 from drivers.errors import InvalidRequest
-from drivers.remote.messages import ObjectMessage
+from drivers.remote.messages import POSE_SIZES, ObjectMessage
 from drivers.state import AppliedCommand
 from iher_robot.errors import UserError
-from iher_robot.host.memory import LatchedFault
+from iher_robot.host.first_scene import make_in_first_scene
+from iher_robot.host.memory import RobotMemory
 
 PERCEPTION = "perception"
 """Source of poses that another publisher than the robot sends."""
@@ -28,8 +29,8 @@ class ServedRobot:
     def __init__(
         self,
         make: Callable[[str], RobotDriver],
-        scene: str,
-        memory: LatchedFault,
+        scene: str | None,
+        memory: RobotMemory,
         perception: tuple[str, ...],
         clock: Clock,
     ) -> None:
@@ -37,7 +38,7 @@ class ServedRobot:
 
         Args:
             make: Makes a driver for a scene.
-            scene: The one to begin with.
+            scene: The one to begin with; the first that the driver has where None.
             memory: What the robot remembers.
             perception: Objects whose poses come from another publisher.
             clock: The host's.
@@ -50,9 +51,11 @@ class ServedRobot:
         self._perception = frozenset(perception)
         self._clock = clock
         self._specs: dict[str, RobotSpec] = {}
+        self._made: dict[str, RobotDriver] = {}  # described, and not yet used
         self._seen: dict[str, tuple[ObjectMessage, int]] = {}
-        self.scene = scene
-        self.driver = make(scene)
+        self.scene, self.driver = (
+            make_in_first_scene(make) if scene is None else (scene, make(scene))
+        )
         self.spec = self._spec_of(self.driver)
         missing = self._perception - self.spec.objects.keys()
         if missing:
@@ -60,7 +63,7 @@ class ServedRobot:
                 f"perception of {', '.join(sorted(missing))} is asked for, objects of "
                 f"{self.spec.name}: {', '.join(sorted(self.spec.objects)) or 'none'}"
             )
-        self._specs[scene] = self.spec
+        self._specs[self.scene] = self.spec
         self._ahead = memory.ticks
         self._latch_again()
 
@@ -71,7 +74,8 @@ class ServedRobot:
             DriverError: There is no such scene.
         """
         if scene not in self._specs:
-            self._specs[scene] = self._spec_of(self._make(scene))
+            self._made[scene] = self._make(scene)
+            self._specs[scene] = self._spec_of(self._made[scene])
         return self._specs[scene]
 
     def knows(self, scene: str) -> bool:
@@ -86,10 +90,11 @@ class ServedRobot:
         """
         if scene == self.scene:
             return
-        driver = self._make(scene)
+        spec = self.describe(scene)
+        driver = self._made.pop(scene, None) or self._make(scene)
         self.driver.disarm()
         last = self.state().seq
-        old, spec = self.driver, self.describe(scene)
+        old = self.driver
         old.close()
         self.driver, self.scene, self.spec = driver, scene, spec
         self._seen.clear()
@@ -141,7 +146,7 @@ class ServedRobot:
             raise InvalidRequest(
                 f"pose of {name!r} is in frame {message.frame!r:.40}, allowed: {frame!r}"
             )
-        for field, size in (("pos", 3), ("quat", 4), ("linvel", 3), ("angvel", 3)):
+        for field, size in POSE_SIZES.items():
             value = getattr(message, field)
             if value.shape != (size,):
                 raise InvalidRequest(

@@ -14,7 +14,7 @@ from drivers.remote.messages import command_fields
 from drivers.wire import pack
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.memory import LatchedFault
+from iher_robot.host.memory import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 
@@ -26,9 +26,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.clock = SimulatedClock(10**9)
-        self.robot = ServedRobot(
-            lambda _: FakeRobot(), "push", LatchedFault(folder), (), self.clock
-        )
+        self.robot = ServedRobot(lambda _: FakeRobot(), "push", RobotMemory(folder), (), self.clock)
         self.robot.open()
         self.lease = HostLease("fake", 2.0, self.clock)
         self.deadman = Deadman(0.2, self.clock)

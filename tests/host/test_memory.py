@@ -9,23 +9,23 @@ import pytest
 
 from drivers.gate import Fault
 from iher_robot import UserError
-from iher_robot.host.memory import LatchedFault, RobotTotal
+from iher_robot.host.memory import RobotMemory, RobotTotal
 
 
 def test_a_fault_is_remembered_until_it_is_cleared(tmp_path: Path) -> None:
-    LatchedFault(tmp_path).keep(lambda: Fault("emergency_stop", "someone walked in", 5))
-    remembered = LatchedFault(tmp_path).fault
+    RobotMemory(tmp_path).keep(lambda: Fault("emergency_stop", "someone walked in", 5))
+    remembered = RobotMemory(tmp_path).fault
     assert remembered is not None
     assert (remembered.name, remembered.reason) == ("emergency_stop", "someone walked in")
-    LatchedFault(tmp_path).keep(lambda: None)
-    assert LatchedFault(tmp_path).fault is None
+    RobotMemory(tmp_path).keep(lambda: None)
+    assert RobotMemory(tmp_path).fault is None
 
 
 def test_the_tick_counter_never_goes_back(tmp_path: Path) -> None:
-    memory = LatchedFault(tmp_path)
+    memory = RobotMemory(tmp_path)
     for tick in (1, 2, 99_999, 100_000, 250_000):
         memory.count(tick)
-        assert LatchedFault(tmp_path).ticks > tick, "a ceiling is written before it is reached"
+        assert RobotMemory(tmp_path).ticks > tick, "a ceiling is written before it is reached"
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_the_tick_counter_never_goes_back(tmp_path: Path) -> None:
 def test_a_damaged_memory_is_no_robot_without_faults(tmp_path: Path, text: str) -> None:
     (tmp_path / "robot.json").write_text(text)
     with pytest.raises(UserError, match=r"robot\.json is damaged"):
-        LatchedFault(tmp_path)
+        RobotMemory(tmp_path)
 
 
 def test_ticks_are_counted_over_restarts(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_two_hosts_of_one_robot_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_stop_may_be_written_while_the_loop_writes(tmp_path: Path) -> None:
-    memory, problems = LatchedFault(tmp_path), []
+    memory, problems = RobotMemory(tmp_path), []
 
     def keep() -> None:
         try:
@@ -81,4 +81,4 @@ def test_a_stop_may_be_written_while_the_loop_writes(tmp_path: Path) -> None:
     for thread in threads:
         thread.join(30.0)
     assert problems == []
-    assert LatchedFault(tmp_path).fault == memory.fault
+    assert RobotMemory(tmp_path).fault == memory.fault

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from iher_robot.host.memory import LatchedFault
+from iher_robot.host.memory import RobotMemory
 from iher_robot.host.processes import WATCHDOG_FAULT, Host, HostFailed
 from iher_robot.host.settings import HostSettings
 
@@ -59,7 +59,7 @@ def test_a_frozen_loop_is_killed_held_and_latched_whatever_the_holder_does(
     with pytest.raises(HostFailed, match="clear-fault watchdog"):
         host.watch()
     assert (robot.killed, holder.calls) == (True, 1)
-    fault = LatchedFault(tmp_path).fault
+    fault = RobotMemory(tmp_path).fault
     assert fault is not None
     assert fault.name == WATCHDOG_FAULT
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers import InvalidRequest, SimulatedClock
 from drivers.remote.messages import ObjectMessage
-from iher_robot.host.memory import LatchedFault
+from iher_robot.host.memory import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 
@@ -26,7 +26,7 @@ def test_a_pose_that_is_not_finite_is_refused_and_the_last_one_stays(
     tmp_path: Path, field: str
 ) -> None:
     clock = SimulatedClock(10**9)
-    memory = LatchedFault(tmp_path)
+    memory = RobotMemory(tmp_path)
     robot = ServedRobot(lambda _: FakeRobot(), "push", memory, ("object0",), clock)
     robot.open()
     robot.see("object0", pose(1))

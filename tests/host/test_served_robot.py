@@ -10,7 +10,7 @@ import pytest
 
 from drivers import InvalidRequest, SimulatedClock
 from drivers.remote.messages import ObjectMessage
-from iher_robot.host.memory import LatchedFault
+from iher_robot.host.memory import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 
@@ -27,7 +27,7 @@ class SlowToClose(FakeRobot):
 
 
 def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path: Path) -> None:
-    memory, first = LatchedFault(tmp_path), SlowToClose()
+    memory, first = RobotMemory(tmp_path), SlowToClose()
     drivers = [first, FakeRobot()]
     robot = ServedRobot(lambda _: drivers.pop(0), "push", memory, (), SimulatedClock())
     robot._specs["slide"] = robot.spec
@@ -43,12 +43,12 @@ def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path:
     assert robot.driver is not first
     assert robot.driver.fault is not None
     assert robot.driver.fault.reason == "someone walked in"
-    assert LatchedFault(tmp_path).fault is not None, "and it outlives the host"
+    assert RobotMemory(tmp_path).fault is not None, "and it outlives the host"
 
 
 def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) -> None:
     robot = ServedRobot(
-        lambda _: FakeRobot(), "push", LatchedFault(tmp_path), ("object0",), SimulatedClock()
+        lambda _: FakeRobot(), "push", RobotMemory(tmp_path), ("object0",), SimulatedClock()
     )
     robot.spec = robot.spec.__class__(**{**vars(robot.spec), "objects": {}})
     pose = ObjectMessage(

@@ -13,7 +13,7 @@ from drivers.remote.messages import Empty, LeaseRequest, Reply, ResetMessage
 from drivers.wire import Message, pack, unpack
 from iher_robot.host.channel import Channel, Note, channel_ends
 from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import LatchedFault, RobotTotal
+from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
 from iher_robot.host.vital import Vitals
@@ -43,7 +43,7 @@ class Bench:
     def __init__(self, folder: Path, total: RobotTotal) -> None:
         self.clock = SimulatedClock(10**9)
         self.robot = Robot(self.clock)
-        memory = LatchedFault(folder)
+        memory = RobotMemory(folder)
         served = ServedRobot(lambda _: self.robot, "push", memory, (), self.clock)
         settings = HostSettings("fake", "fake", {}, ("tcp/127.0.0.1:1",), folder)
         self._ends = channel_ends()

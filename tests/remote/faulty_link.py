@@ -10,12 +10,12 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import zenoh
 
+from drivers.closing import Closing
 from drivers.remote.keys import robot_key
 from drivers.remote.link import POINT_TO_POINT, link_options, make_config, open_session
 from drivers.remote.publishing import real_time_publisher
@@ -52,7 +52,7 @@ class Faults:
 NO_FAULTS = Faults()
 
 
-class FaultyLink:
+class FaultyLink(Closing):
     """Stands between the clients that connect to it and a host, with a session for each side.
 
     Of every stream (a key, a direction) the n-th message always suffers the same.
@@ -86,15 +86,7 @@ class FaultyLink:
         queryable = self._to_clients.declare_queryable(robot_key(ROBOT, "rpc", "*"))
         self._start(queryable, self._ask)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         self._timetable.close()
         self._to_clients.close()
         self._to_host.close()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import threading
-from types import TracebackType
-from typing import Self
 
 from drivers import RobotSpec, RobotState
+from drivers.closing import Closing
 from drivers.remote.client import RobotClient
 from drivers.remote.driver import read_spec
 from drivers.remote.link import link_options
@@ -14,7 +13,7 @@ from drivers.remote.messages import SpecRequest
 from drivers.remote.state_message import HostInfo, unpack_state
 
 
-class Observer:
+class Observer(Closing):
     """Keeps every state that it receives, in order.
 
     Attributes:
@@ -39,15 +38,7 @@ class Observer:
     def client(self) -> RobotClient:
         return self._client
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         self._client.close()
 
     def _take(self, data: bytes, received_ns: int) -> None:
