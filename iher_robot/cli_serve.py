@@ -70,6 +70,14 @@ def serve(
             show_default=False,
         ),
     ] = None,
+    tick_log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Append a line of JSON for each control tick: what the robot did, and for whom.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Serve a robot to clients in other processes or on other machines, until Ctrl-C."""
     from iher_robot.serve import DEFAULT_LISTEN
@@ -87,5 +95,6 @@ def serve(
         perception=tuple(perception or ()),
         deadman_s=deadman,
         memory=memory,
+        tick_log=tick_log,
         echo=typer.echo,
     )

@@ -30,6 +30,7 @@ def serve(
     perception: Sequence[str] = (),
     deadman_s: float = 0.2,
     memory: Path | None = None,
+    tick_log: Path | None = None,
     echo: Callable[[str], None] = print,
 ) -> None:
     """Serve a robot until an interrupt; it is left held and disarmed.
@@ -47,6 +48,7 @@ def serve(
         deadman_s: Silence of an armed client after which it is disarmed, s.
         memory: Folder for latched fault, tick counter and ledger; by default one of the robot's
             own in the user's state folder.
+        tick_log: File that gets a line of JSON for each control tick; None for none.
         echo: Told what is served.
 
     Raises:
@@ -74,6 +76,7 @@ def serve(
         without_joint_limits=without_joint_limits,
         perception=tuple(perception),
         deadman_s=deadman_s,
+        tick_log_path=tick_log,
     )
     host = Host(settings, make_holder(chosen.driver, **settings.options))
     try:

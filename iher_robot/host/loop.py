@@ -24,6 +24,7 @@ from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.requests import RequestDesk
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
+from iher_robot.host.tick_log import TickLog
 from iher_robot.host.vital import Vitals
 
 log = logging.getLogger(__name__)
@@ -57,6 +58,7 @@ class ControlLoop:
         channel: Channel,
         vitals: Vitals,
         clock: Clock,
+        tick_log: TickLog | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -68,6 +70,7 @@ class ControlLoop:
             channel: To the gateway.
             vitals: Shared with the watchdog.
             clock: Monotonic.
+            tick_log: Told what the robot did in each tick.
         """
         self.boot = os.urandom(8).hex()
         self._robot = robot
@@ -76,6 +79,7 @@ class ControlLoop:
         self._channel = channel
         self._vitals = vitals
         self._clock = clock
+        self._tick_log = tick_log
         self._lease = HostLease(settings.name, settings.lease_s, clock)
         self._deadman = Deadman(settings.deadman_s, clock)
         self._desk = CommandDesk(
@@ -243,6 +247,8 @@ class ControlLoop:
         ):
             self._channel.send(Note("fault", 0, self.boot, packed))
             self._told_fault = (name, self._published_ns)
+        if self._tick_log is not None:
+            self._tick_log.add(state, info, self._published_ns)
 
     def _slow(self) -> None:
         self._vitals.promise(SLOW_S)
@@ -254,4 +260,5 @@ class ControlLoop:
             "tick_late_p50_ms": float(late[0]),
             "tick_late_p99_ms": float(late[1]),
             "tick_overruns": self._overruns,
+            "ticks_not_logged": 0 if self._tick_log is None else self._tick_log.lost,
         } | self._desk.timing()

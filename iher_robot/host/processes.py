@@ -10,6 +10,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -28,6 +29,7 @@ from iher_robot.host.memory import RobotMemory, RobotTotal
 from iher_robot.host.security import read_security
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
+from iher_robot.host.tick_log import TickLog
 from iher_robot.host.vital import Vitals
 
 log = logging.getLogger(__name__)
@@ -189,10 +191,14 @@ def run_robot(
     clock = MonotonicClock()
     try:
         memory = RobotMemory(settings.memory_path)
-        with RobotTotal(settings.memory_path, settings.name) as total:
+        with ExitStack() as stack:
+            total = stack.enter_context(RobotTotal(settings.memory_path, settings.name))
+            path = settings.tick_log_path
+            tick_log = None if path is None else stack.enter_context(TickLog(path))
             make = partial(_make_served, settings)
             robot = ServedRobot(make, settings.scene, memory, settings.perception, clock)
-            loop = ControlLoop(settings, robot, total, memory, Channel(end), vitals, clock)
+            channel = Channel(end)
+            loop = ControlLoop(settings, robot, total, memory, channel, vitals, clock, tick_log)
             loop.run(lambda: _say(starter, _READY))
     except (UserError, DriverError) as error:
         if starter.closed:

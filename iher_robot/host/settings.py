@@ -26,6 +26,7 @@ class HostSettings:
         deadman_s: Silence of an armed client after which it is disarmed.
         command_age_ticks: Age of the state that a command answers past which it is refused.
         lease_s: Silence of a client after which another may command.
+        tick_log_path: File that gets a line for each control tick; None for none.
     """
 
     name: str
@@ -41,3 +42,4 @@ class HostSettings:
     deadman_s: float = 0.2
     command_age_ticks: float = 2.0
     lease_s: float = 2.0
+    tick_log_path: Path | None = None
