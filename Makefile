@@ -62,7 +62,7 @@ format: .venv/dev
 	@touch $@
 
 .venv/dev: .venv/runtime
-	$(INSTALL) -e '.[dev,bench,video]'
+	$(INSTALL) -e '.[dev,bench,data,video]'
 	@touch $@
 
 clean:

@@ -1,0 +1,128 @@
+"""Checks that a run's files are whole and belong together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from iher_robot.accounts import Account
+from iher_robot.durable_file import check_seal, read_file
+from iher_robot.errors import UserError
+from iher_robot.run_data import RunData
+from iher_robot.stored_episode import StoredEpisode
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What a check found.
+
+    Attributes:
+        episodes: Episodes that are whole.
+        ticks: Ticks in them.
+        problems: A sentence for each thing that is damaged.
+    """
+
+    episodes: int
+    ticks: int
+    problems: tuple[str, ...]
+
+    def __add__(self, other: Verification) -> Verification:
+        return Verification(
+            self.episodes + other.episodes,
+            self.ticks + other.ticks,
+            self.problems + other.problems,
+        )
+
+    def summary(self) -> str:
+        """Each problem, and what all of it comes to in a last line."""
+        found = _counted(len(self.problems), "problem") if self.problems else "all whole"
+        total = f"{_counted(self.episodes, 'episode')}, {_counted(self.ticks, 'tick')}: {found}"
+        return "\n".join([*self.problems, total])
+
+
+def check_run(run: RunData) -> Verification:
+    """Check every file of a run, and that its parts belong together.
+
+    Args:
+        run: The run; one that goes on is checked as far as it has got.
+    """
+    problems: list[str] = []
+    with _noted(problems):
+        _ = run.config
+    configured = not problems
+    with _noted(problems):
+        run.directory.check_config()
+    stored = list(_whole_episodes(run, problems))
+    if configured:
+        for one in stored:
+            with _noted(problems):
+                run.require_own_task(one)
+        with _noted(problems):
+            _ = run.robot
+    # After the episodes: a run that goes on charges a tick before it stores it.
+    with _noted(problems):
+        _check_ledger(run, stored)
+    with _noted(problems):
+        _ = run.provenance
+    with _noted(problems):
+        _check_metrics(run, stored)
+    for path in (run.directory.policy_path, run.directory.checkpoint_path):
+        with _noted(problems):
+            _check_seal(path)
+    ticks = sum(len(one.episode) for one in stored)
+    return Verification(len(stored), ticks, tuple(problems))
+
+
+@contextmanager
+def _noted(problems: list[str]) -> Iterator[None]:
+    try:
+        yield
+    except UserError as error:
+        problems.append(str(error))
+
+
+def _whole_episodes(run: RunData, problems: list[str]) -> Iterator[StoredEpisode]:
+    for found in run.examine_episodes():
+        if isinstance(found, UserError):
+            problems.append(str(found))
+        else:
+            yield found
+
+
+def _check_ledger(run: RunData, stored: Iterable[StoredEpisode]) -> None:
+    charged = Counter[Account]()
+    for one in stored:
+        charged[one.account] += int(one.elapsed.sum())
+    if not charged and not run.directory.ledger_path.exists():
+        return  # the run has not begun
+    for account, ticks in charged.items():
+        spent = run.spent_ticks[account]
+        if spent < ticks:
+            raise UserError(
+                f"{run.directory.ledger_path} counts {spent} ticks of {account}, and {ticks} are "
+                "stored; put the ledger back that belongs to the episodes"
+            )
+
+
+def _check_metrics(run: RunData, stored: Iterable[StoredEpisode]) -> None:
+    rows = run.directory.read_metrics()
+    told = rows[-1].get("episodes", 0) if rows else 0
+    collected = sum(one.account == "motion" for one in stored)
+    if not isinstance(told, int | float) or told > collected:
+        raise UserError(
+            f"{run.directory.metrics_path} tells of {told} episodes of motion, and {collected} are "
+            "stored and whole"
+        )
+
+
+def _check_seal(path: Path) -> None:
+    if path.exists():
+        kind = f"{path.stem} file"
+        check_seal(read_file(path, kind), path, kind)
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count} {name}{'' if count == 1 else 's'}"
