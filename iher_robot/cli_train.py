@@ -45,6 +45,14 @@ def train(
             metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
         ),
     ] = None,
+    from_data: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIR",
+            help="Begin with the real episodes of an earlier run; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     until_success: Annotated[
         str, typer.Option(help="Stop when two evaluations in a row reach this rate, or off.")
     ] = "1.0",
@@ -87,6 +95,7 @@ def train(
             device=device,
             display=display,
             video=video,
+            from_data=from_data or (),
         )
     typer.echo(result.summary())
 

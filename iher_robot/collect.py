@@ -14,6 +14,7 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.policy import Policy
+from iher_robot.stored_episode import RecordedTick, make_episode
 
 Array = NDArray[np.floating]
 
@@ -44,7 +45,7 @@ def episode_seed(run_seed: int, stream: Stream, index: int) -> int:
 
 
 class Recorder:
-    """Collects the ticks of one episode, so that none is lost if the episode is cut short.
+    """Counts the ticks of one episode, from before each begins.
 
     Attributes:
         ticks: Control ticks charged so far; the one in flight counts, since the robot may have
@@ -60,7 +61,7 @@ class Recorder:
         self.aborted = ""
         self.told_source = REAL
         self._start: Observation | None = None
-        self._steps: list[tuple[Array, Array, Array, bool]] = []
+        self._ticks: list[RecordedTick] = []
 
     def start(self, observation: Observation) -> None:
         """Take the observation of a reset."""
@@ -79,31 +80,40 @@ class Recorder:
         Raises:
             EpisodeAborted: The robot cannot go on; the tick is charged nevertheless.
         """
-        self.ticks += 1
+        self._charge(1)
         try:
             observation, _, _, _, info = env.step(action)
         except EpisodeAborted as error:
-            self.ticks += error.ticks - 1
+            self._charge(error.ticks - 1)
             raise
-        self.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
-        # One append: an interrupt finds the whole tick in the record, or nothing of it.
-        valid = bool(info["tick_valid"])
-        self._steps.append((observation["observation"], info["action_applied"], action, valid))
+        self._charge(info["ticks"] - 1)  # ticks that passed unseen are charged as well
+        assert env.state is not None, "a step that returns leaves a state"
+        # One call: an interrupt finds the whole tick in the record, or nothing of it.
+        self._record(
+            RecordedTick(
+                observation=observation["observation"],
+                action=info["action_applied"],
+                requested_action=action,
+                valid=bool(info["tick_valid"]),
+                seq=env.state.seq,
+                elapsed=info["ticks"],
+            )
+        )
         self.success = bool(info["is_success"])
         return observation
 
     def episode(self) -> Episode | None:
         """The ticks recorded whole, as an episode; None before the first."""
-        if self._start is None or not self._steps:
+        if self._start is None or not self._ticks:
             return None
-        observations, applied, requested, valid = zip(*self._steps, strict=True)
-        return Episode(
-            observations=np.stack([self._start["observation"], *observations]),
-            actions=np.stack(applied),
-            requested_actions=np.stack(requested),
-            valid=np.array(valid),
-            desired_goal=self._start["desired_goal"],
-        )
+        start = self._start
+        return make_episode(start["observation"], start["desired_goal"], self._ticks)
+
+    def _charge(self, ticks: int) -> None:
+        self.ticks += ticks
+
+    def _record(self, tick: RecordedTick) -> None:
+        self._ticks.append(tick)
 
 
 def choose_action(policy: Policy, observation: Observation, source: int) -> torch.Tensor:

@@ -32,6 +32,7 @@ _CHOSEN = {
     "algo": "--algo",
     "robot": "--robot",
     "robot_options": "--robot",
+    "from_data": "--from-data",
 }
 
 
@@ -76,6 +77,8 @@ class RunConfig(_Section):
     for a busy one costs most of the speed."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
+    from_data: tuple[str, ...] = ()
+    """Folders of earlier runs whose real episodes the learner begins with."""
     until_success: Annotated[float | None, OR_OFF] = Field(default=1.0, gt=0, le=1)
     """Stop early at this success rate; ``off`` spends the whole budget."""
     patience_minutes: float = Field(default=10.0, ge=0, allow_inf_nan=False)
@@ -101,6 +104,7 @@ def load_config(
     options: Mapping[str, object] = MappingProxyType({}),
     robot: str | None = None,
     connect: Sequence[str] = (),
+    from_data: Sequence[str] = (),
 ) -> RunConfig:
     """Resolve the settings of a new run; later layers win.
 
@@ -114,6 +118,7 @@ def load_config(
         robot: Name of a shipped robot or of one on the network, or the path of a YAML file; the
             driver's default where None.
         connect: Where to reach a robot on the network; what its file says where empty.
+        from_data: Folders of earlier runs to begin with.
 
     Returns:
         Typed defaults, then the preset's file for the task, the algorithm's, the options and the
@@ -132,7 +137,8 @@ def load_config(
         for key, option in _CHOSEN.items():
             if key in layer.values:
                 raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
-    chosen = Layer("command line", {"task": task, "preset": preset, "algo": algo})
+    given = {"task": task, "preset": preset, "algo": algo, "from_data": list(from_data)}
+    chosen = Layer("command line", given)
     # Any layer may name the driver, and the driver says which robot is the default. Where none
     # does, the robot's file may.
     resolved = _resolve([*layers, chosen])

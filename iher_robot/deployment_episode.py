@@ -8,11 +8,13 @@ from typing import Any
 
 from drivers import DriverError, RobotState
 from iher_robot.collect import choose_action
-from iher_robot.deployment_log import DONE, DeploymentLog, EpisodeRecord, describe
+from iher_robot.deployment_log import DeploymentLog, EpisodeRecord
 from iher_robot.env import EpisodeAborted, GoalRobotEnv, Observation
+from iher_robot.errors import describe
 from iher_robot.homing import require_home
 from iher_robot.learning.goal_model import REAL
 from iher_robot.policy_fit import Actor
+from iher_robot.stored_episode import DONE
 
 _UNKNOWN_OUTCOME = dict.fromkeys(
     (

@@ -17,10 +17,10 @@ from typing import Any, Self
 import numpy as np
 
 from iher_robot.durable_file import read_file, sync_directory, write_atomically
-from iher_robot.errors import UserError
+from iher_robot.errors import UserError, describe
+from iher_robot.stored_episode import DONE
 
 RUNNING = "running"
-DONE = "done"
 
 
 @dataclass
@@ -191,13 +191,6 @@ def file_digest(path: Path, kind: str) -> str:
         UserError: It cannot be read.
     """
     return hashlib.sha256(read_file(path, kind)).hexdigest()
-
-
-def describe(error: BaseException) -> str:
-    """What ended something, in one line."""
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def _plain(value: Any) -> Any:

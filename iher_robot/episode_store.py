@@ -1,129 +1,72 @@
-"""Real episodes on disk: each durable when it ends, each readable on its own by numpy."""
+"""Real episodes on disk: each tick in a journal, each episode durable when it ends."""
 
 from __future__ import annotations
 
-import io
+import dataclasses
+import hashlib
 import re
-import zipfile
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from iher_robot.durable_file import (
-    TEMPORARY_SUFFIX,
-    check_seal,
-    read_file,
-    seal_zip,
-    write_atomically,
-)
+from drivers.closing import Closing
+from iher_robot.durable_file import TEMPORARY_SUFFIX, read_file, write_atomically
+from iher_robot.episode_index import EpisodeIndex, Running
 from iher_robot.errors import UserError
-from iher_robot.learning.episode import Episode
-from iher_robot.ledger import ACCOUNTS, Account
+from iher_robot.held_file import HeldFile
+from iher_robot.stored_episode import (
+    EpisodeHeader,
+    RecordedTick,
+    StoredEpisode,
+    read_episode,
+)
+
+CUT_OFF = "cut off: the program ended in it"
 
 _NAME = re.compile(r"episode-(\d{6,})\.npz")
-# What numpy and zipfile raise on a foreign archive.
-_UNREADABLE = (
-    AttributeError,
-    EOFError,
-    LookupError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-_ARRAYS = ("observations", "actions", "requested_actions", "valid", "desired_goal")
+_INDEX = "index.sqlite"
+_LOCK = "store.lock"
 
 
-@dataclass(frozen=True)
-class StoredEpisode:
-    """A real episode and how it came about.
+class EpisodeReader(Closing):
+    """A folder of ``episode-000000.npz``, ``episode-000001.npz``, and so on, with its index.
 
-    Attributes:
-        index: Place in the store, from 0.
-        epoch: Epoch in which it was collected.
-        told_source: Source that the policy was told.
-        account: Account that its ticks were charged to.
-        episode: The data, in the precision in which they were given.
-    """
-
-    index: int
-    epoch: int
-    told_source: int
-    account: Account
-    episode: Episode
-
-
-class EpisodeStore:
-    """Append-only folder of ``episode-000000.npz``, ``episode-000001.npz``, and so on.
+    It is read as it was when it was opened, even while a run writes it.
 
     Args:
-        directory: The folder; created if it does not exist.
+        directory: The folder.
 
     Raises:
-        UserError: An episode is missing in the middle, or the folder cannot be used.
+        UserError: It is none, an episode is missing, or the index is damaged.
     """
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self._index = self._open_index()
         try:
-            directory.mkdir(exist_ok=True)
-            for leftover in directory.glob(f".*{TEMPORARY_SUFFIX}"):
-                leftover.unlink()
-            names = {path.name for path in directory.iterdir() if _NAME.fullmatch(path.name)}
-        except OSError as error:
-            raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
-        self._length = len(names)
-        for index in range(self._length):
-            if self._path(index).name not in names:
-                raise UserError(
-                    f"{self._path(index)} is missing, though later episodes are there; put it back"
-                )
+            self._check_names()
+        except BaseException:
+            self.close()
+            raise
 
     def __len__(self) -> int:
         """Number of stored episodes."""
-        return self._length
+        return len(self._index.digests)
 
     def __iter__(self) -> Iterator[StoredEpisode]:
         """Load all episodes, oldest first."""
-        return (self.load(index) for index in range(self._length))
+        return (self.load(index) for index in range(len(self)))
 
-    def append(
-        self, episode: Episode, *, epoch: int, told_source: int, account: Account = "motion"
-    ) -> int:
-        """Store an episode; when this returns, it survives a crash.
+    @property
+    def running(self) -> Running | None:
+        """The episode under way when the folder was opened, None if there was none."""
+        return self._index.running
 
-        Args:
-            episode: The data.
-            epoch: Epoch in which it was collected.
-            told_source: Source that the policy was told.
-            account: Account that its ticks were charged to.
-
-        Returns:
-            Its index.
-
-        Raises:
-            UserError: The system refuses, such as on a full disk; the store is as before.
-        """
-        index = self._length
-        buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            allow_pickle=False,
-            index=np.int64(index),
-            epoch=np.int64(epoch),
-            told_source=np.int64(told_source),
-            account=np.str_(account),
-            **{name: getattr(episode, name) for name in _ARRAYS},
-        )
-        sealed = seal_zip(buffer.getvalue())
-        write_atomically(self._path(index), lambda file: file.write(sealed))
-        self._length += 1
-        return index
+    def path(self, index: int) -> Path:
+        """The file of an episode."""
+        return self.directory / f"episode-{index:06d}.npz"
 
     def load(self, index: int) -> StoredEpisode:
         """Read an episode and check that every byte is as it was written.
@@ -135,27 +78,175 @@ class EpisodeStore:
             IndexError: There is no such episode.
             UserError: The file is missing, truncated, damaged, or another episode's.
         """
-        if not 0 <= index < self._length:
-            raise IndexError(f"episode {index} of {self._length}")
-        path = self._path(index)
-        sealed = read_file(path, "episode file")
-        check_seal(sealed, path, "episode file")
-        try:
-            with np.load(io.BytesIO(sealed), allow_pickle=False) as file:
-                stored = StoredEpisode(
-                    index=int(file["index"]),
-                    epoch=int(file["epoch"]),
-                    told_source=int(file["told_source"]),
-                    account=str(file["account"]),  # type: ignore[arg-type]
-                    episode=Episode(**{name: file[name] for name in _ARRAYS}),
-                )
-        except _UNREADABLE as error:
-            raise UserError(f"{path} is no episode file of iher-robot: {error}") from error
-        if stored.account not in ACCOUNTS:
-            raise UserError(f"{path} names account {stored.account!r}, which does not exist")
-        if stored.index != index:
-            raise UserError(f"{path} holds episode {stored.index}; restore the files' names")
+        if not 0 <= index < len(self):
+            raise IndexError(f"episode {index} of {len(self)}")
+        path = self.path(index)
+        stored = read_episode(path, index)
+        if _digest(read_file(path, "episode file")) != self._index.digests[index]:
+            raise UserError(f"{path} is not the file that was stored; put that one back")
         return stored
 
-    def _path(self, index: int) -> Path:
-        return self.directory / f"episode-{index:06d}.npz"
+    def close(self) -> None:
+        """Release the folder; closing twice does nothing."""
+        self._index.close()
+
+    def _open_index(self) -> EpisodeIndex:
+        if not self.directory.is_dir():
+            raise UserError(f"there is no episode folder at {self.directory}")
+        return EpisodeIndex(self.directory / _INDEX, read_only=True)
+
+    def _check_names(self) -> None:
+        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
+        for index in range(len(self)):
+            if self.path(index).name not in names:
+                raise UserError(f"{self.path(index)} is missing; put it back")
+        # One more may have been sealed just before a crash, or be sealed at this moment.
+        if names - {self.path(index).name for index in range(len(self) + 1)}:
+            raise UserError(
+                f"{self.directory / _INDEX} knows {len(self)} episodes, but there are files of "
+                f"{len(names)}; put the newest index back"
+            )
+
+
+class EpisodeStore(EpisodeReader):
+    """The same folder for its one writer, append-only.
+
+    Between ``begin`` and ``seal`` every tick goes into a journal. What a crash leaves there is
+    sealed when the store is opened again.
+
+    Args:
+        directory: The folder; created if it does not exist.
+        durable_ticks: Whether ``record`` waits for the disk, so that a tick survives a crash of
+            the machine, too; without it only a crash of the program.
+
+    Attributes:
+        recovered: Place of the episode that a crash had cut off, None if there was none.
+
+    Raises:
+        FileHeld: Another process writes it.
+        UserError: An episode is missing, the index is damaged, or the folder cannot be used.
+    """
+
+    def __init__(self, directory: Path, *, durable_ticks: bool = False) -> None:
+        self.durable_ticks = durable_ticks
+        try:
+            directory.mkdir(exist_ok=True)
+        except OSError as error:
+            raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
+        self._lock = HeldFile(
+            directory / _LOCK, f"episode folder {directory} is in use by another run"
+        )
+        try:
+            super().__init__(directory)
+            self.recovered = self._recover()
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def begin(
+        self,
+        header: EpisodeHeader,
+        observation: NDArray[np.floating],
+        desired_goal: NDArray[np.floating],
+    ) -> None:
+        """Begin an episode; when this returns, it is in the journal.
+
+        Args:
+            header: How it comes about.
+            observation: Before the first tick. ``(obs_dim,)``
+            desired_goal: ``(goal_dim,)``
+
+        Raises:
+            UserError: The system refuses, such as on a full disk.
+        """
+        running = Running(len(self), header, observation, desired_goal, [])
+        self._index.begin(running, durable=self.durable_ticks)
+        self._note()
+
+    def record(self, tick: RecordedTick) -> None:
+        """Add a tick to the episode; when this returns, it is in the journal.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk; the ticks before are kept.
+        """
+        self._index.record(tick)
+        self._note()
+
+    def seal(self, ended: str) -> int | None:
+        """End the episode; when this returns, it is durable.
+
+        Args:
+            ended: ``"done"``, or what cut it short.
+
+        Returns:
+            Its index, or None if none was begun or not a tick of it was recorded: then there is
+            nothing to keep.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk; the journal still has it.
+        """
+        running = self.running
+        if running is None or not running.ticks:
+            self._index.forget_running()
+            return None
+        return self.append(running.stored(ended))
+
+    def append(self, stored: StoredEpisode) -> int:
+        """Store an episode as the next one; when this returns, it is durable.
+
+        Args:
+            stored: It, whatever its index was elsewhere.
+
+        Returns:
+            Its index.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk; the store is as before.
+        """
+        index = len(self)
+        sealed = dataclasses.replace(stored, index=index).pack()
+        write_atomically(self.path(index), lambda file: file.write(sealed))
+        self._index.add(_digest(sealed))
+        self._note()
+        return index
+
+    def close(self) -> None:
+        """Release the folder; closing twice does nothing."""
+        super().close()
+        self._lock.close()
+
+    def _open_index(self) -> EpisodeIndex:
+        for leftover in self.directory.glob(f".*{TEMPORARY_SUFFIX}"):
+            leftover.unlink()
+        return EpisodeIndex(self.directory / _INDEX)
+
+    def _recover(self) -> int | None:
+        self._require_newest()
+        ended = CUT_OFF
+        beyond = self.path(len(self))
+        if beyond.exists():
+            if self.running is None:
+                raise UserError(
+                    f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index "
+                    "back"
+                )
+            ended = read_episode(beyond, len(self)).ended  # it was sealed, and only not indexed
+        return self.seal(ended)
+
+    def _require_newest(self) -> None:
+        """Check that the index still has all that its last writer had noted."""
+        episodes, ticks = self._lock.note.get("at", (0, 0))
+        found = 0 if self.running is None else len(self.running.ticks)
+        if (len(self), found) < (episodes, ticks):
+            raise UserError(
+                f"{self.directory / _INDEX} lost a part: it had {episodes} episodes and {ticks} "
+                f"ticks of another, and has {len(self)} and {found}; it or its -wal file is "
+                "damaged or too old, put the newest ones back"
+            )
+
+    def _note(self) -> None:
+        self._lock.write(at=(len(self), 0 if self.running is None else len(self.running.ticks)))
+
+
+def _digest(sealed: bytes) -> str:
+    return hashlib.sha256(sealed).hexdigest()

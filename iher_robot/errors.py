@@ -28,5 +28,12 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str]) -> UserError:
     return UserError(unknown(kind, name, allowed))
 
 
+def describe(error: BaseException) -> str:
+    """What ended something, in one line."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 class NoSolution(RuntimeError):
     """A controller knows no motion for an action; the robot holds for this tick."""

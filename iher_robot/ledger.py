@@ -2,53 +2,54 @@
 
 from __future__ import annotations
 
-import math
-import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from fractions import Fraction
-from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
 
 from drivers.closing import Closing
-from iher_robot.errors import UserError
-
-Account = Literal["motion", "reset", "idle", "evaluation", "deployment"]
-ACCOUNTS: tuple[Account, ...] = get_args(Account)
-
-# "iher" in ASCII: tells a ledger from any other SQLite file.
-_APPLICATION_ID = 0x69686572
-_FORMAT = 1
-_SCHEMA = (
-    """CREATE TABLE reservation (
-        id INTEGER PRIMARY KEY AUTOINCREMENT,
-        account TEXT NOT NULL,
-        ticks INTEGER NOT NULL CHECK (ticks > 0)
-    )""",
-    """CREATE TABLE settlement (
-        id INTEGER PRIMARY KEY REFERENCES reservation (id),
-        ticks INTEGER NOT NULL CHECK (ticks >= 0)
-    )""",
-    *(
-        f"CREATE TRIGGER {table}_{change} BEFORE {change} ON {table} "
-        "BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END"
-        for table in ("reservation", "settlement")
-        for change in ("UPDATE", "DELETE")
-    ),
+from iher_robot.accounts import (
+    ACCOUNTS,
+    LEDGER,
+    Account,
+    Kind,
+    add_up,
+    begun_ticks,
+    lock_path,
 )
-
-
-class BudgetError(Exception):
-    """More ticks were asked for than the budget still has."""
+from iher_robot.database import Database
+from iher_robot.held_file import HeldFile
 
 
 class Entry:
-    """A reservation; until it is settled it counts in full."""
+    """A reservation; until it is settled it counts in full.
 
-    def __init__(self, reserved_ticks: int, record: Callable[[int], None]) -> None:
+    Attributes:
+        number: Its number in the ledger.
+        reserved_ticks: Ticks that were written down.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        reserved_ticks: int,
+        begin: Callable[[int, int], None],
+        settle: Callable[[int, int], None],
+    ) -> None:
+        self.number = number
         self.reserved_ticks = reserved_ticks
-        self._record = record
+        self._begin = begin
+        self._settle = settle
+
+    def begin(self, ticks: int) -> None:
+        """Note how many have begun, the one about to begin included.
+
+        From the first call on, a crash of this program leaves that number counted, and not the
+        whole reservation; a crash of the machine still leaves the whole.
+
+        Args:
+            ticks: Ticks since the reservation.
+        """
+        self._begin(self.number, ticks)
 
     def settle(self, actual_ticks: int) -> None:
         """Replace the reservation by what was really used.
@@ -62,18 +63,14 @@ class Entry:
         """
         if actual_ticks < 0:
             raise ValueError(f"settled ticks must be >= 0, not {actual_ticks}")
-        self._record(actual_ticks)
-
-
-class LedgerInUse(UserError):
-    """Another process holds a ledger."""
+        self._settle(self.number, actual_ticks)
 
 
 class Ledger(Closing):
     """Append-only accounts of control ticks in one SQLite file; one process may hold it.
 
-    A crash between reservation and settlement leaves the reservation counted: the ledger may
-    over-count, never under-count.
+    A crash between reservation and settlement leaves counted what had begun by then, or the whole
+    reservation: the ledger may over-count, never under-count.
 
     Example:
         >>> with ledger.reserve("motion", 50) as entry:
@@ -83,50 +80,44 @@ class Ledger(Closing):
         path: The file; created if it does not exist.
 
     Raises:
-        LedgerInUse: Another process holds it.
-        UserError: It is no ledger, or cannot be written.
+        FileHeld: Another process holds it.
+        UserError: It is no ledger, is damaged, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._lock = HeldFile(
+            lock_path(path),
+            f"ledger {path} is in use: another run works in this folder, wait for it to end or "
+            "stop it",
+        )
+        self._begun: dict[str, int] = {}
         try:
-            self._connection = sqlite3.connect(path, timeout=0, isolation_level=None)
-        except sqlite3.Error as error:
-            raise UserError(f"cannot open ledger {path}: {error}") from error
+            self._database = Database(path, LEDGER)
+        except BaseException:
+            self._lock.close()
+            raise
         try:
-            self._open()
-        except sqlite3.Error as error:
-            self._connection.close()
-            if error.sqlite_errorcode in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-                raise LedgerInUse(
-                    f"ledger {path} is in use: another run works in this folder, wait for it to "
-                    "end or stop it"
-                ) from error
-            raise UserError(f"{path} is no ledger, or damaged: {error}") from error
-        except UserError:
-            self._connection.close()
+            self._accounts = add_up(self._database, self._lock.note.get("last", 0))
+            self._settle_what_a_crash_left()
+        except BaseException:
+            self.close()
             raise
 
-    def _open(self) -> None:
-        execute = self._connection.execute
-        # Before the first access: then the write-ahead log needs no shared memory, and the lock
-        # stays until the process closes the file or dies.
-        execute("PRAGMA locking_mode = EXCLUSIVE")
-        execute("PRAGMA journal_mode = WAL")
-        execute("PRAGMA synchronous = FULL")
-        execute("PRAGMA foreign_keys = ON")
-        execute("BEGIN EXCLUSIVE")
-        (identity,) = execute("PRAGMA application_id").fetchone()
-        (version,) = execute("PRAGMA user_version").fetchone()
-        (tables,) = execute("SELECT COUNT(*) FROM sqlite_master").fetchone()
-        if tables == 0 and identity == 0:
-            for statement in _SCHEMA:
-                execute(statement)
-            execute(f"PRAGMA application_id = {_APPLICATION_ID}")
-            execute(f"PRAGMA user_version = {_FORMAT}")
-        elif (identity, version) != (_APPLICATION_ID, _FORMAT):
-            raise UserError(f"{self.path} is no ledger of iher-robot, or of another version")
-        execute("COMMIT")
+    @property
+    def last_entry(self) -> int:
+        """Number of the newest entry, 0 without one."""
+        return self._accounts.last
+
+    @property
+    def open_reservations(self) -> dict[int, tuple[Account, int]]:
+        """Account and ticks of what is reserved and not settled, by number."""
+        return dict(self._accounts.open)
+
+    @property
+    def granted_ticks(self) -> int:
+        """Ticks of motion that were granted beyond the run's own budget."""
+        return self._accounts.granted_ticks
 
     @contextmanager
     def reserve(self, account: Account, ticks: int) -> Iterator[Entry]:
@@ -137,94 +128,70 @@ class Ledger(Closing):
             ticks: The most that will be used, at least one.
 
         Yields:
-            The entry to settle. If it is not, by an exception or a crash, it counts in full.
+            The entry to settle. If it is not, by an exception or a crash, it counts in full, or
+            as far as ``Entry.begin`` was told.
         """
         if account not in ACCOUNTS:
             raise ValueError(f"unknown account {account!r}, valid: {', '.join(ACCOUNTS)}")
         if ticks < 1:
             raise ValueError(f"reserved ticks must be >= 1, not {ticks}")
-        cursor = self._connection.execute(
-            "INSERT INTO reservation (account, ticks) VALUES (?, ?)", (account, int(ticks))
-        )
-        yield Entry(int(ticks), partial(self._settle, cursor.lastrowid))
+        number = self._append("reserve", account, None, int(ticks))
+        yield Entry(number, int(ticks), self._note_begun, self.settle)
 
-    def _settle(self, number: int | None, ticks: int) -> None:
-        try:
-            self._connection.execute("INSERT INTO settlement VALUES (?, ?)", (number, int(ticks)))
-        except sqlite3.IntegrityError:
-            raise ValueError(f"entry {number} of the ledger is settled already") from None
+    def settle(self, number: int, ticks: int) -> None:
+        """Settle a reservation by its number.
+
+        Raises:
+            ValueError: It is settled already.
+        """
+        if number not in self._accounts.open:
+            raise ValueError(f"entry {number} of the ledger is settled already")
+        self._append("settle", self._accounts.open[number][0], number, int(ticks))
+
+    def grant(self, ticks: int) -> None:
+        """Write down more ticks of motion for the run.
+
+        Args:
+            ticks: At least one.
+        """
+        if ticks < 1:
+            raise ValueError(f"granted ticks must be >= 1, not {ticks}")
+        self._append("grant", "motion", None, int(ticks))
 
     def spent_ticks(self, account: Account) -> int:
         """Ticks of an account: those settled, and those reserved and not yet settled."""
-        (ticks,) = self._connection.execute(
-            "SELECT COALESCE(SUM(COALESCE(settlement.ticks, reservation.ticks)), 0) "
-            "FROM reservation LEFT JOIN settlement USING (id) WHERE account = ?",
-            (account,),
-        ).fetchone()
-        return int(ticks)
+        return self._accounts.spent[account]
 
     def close(self) -> None:
         """Release the file; closing twice does nothing."""
-        self._connection.close()
+        self._database.close()
+        self._lock.close()
 
+    def _settle_what_a_crash_left(self) -> None:
+        note = dict(self._lock.note)
+        for number in list(self._accounts.open):
+            begun = begun_ticks(note, number)
+            if begun is not None:
+                self.settle(number, begun)
+        self._note()
 
-class Budget:
-    """Control ticks of motion that a run may spend, over all its interruptions.
+    def _append(self, kind: Kind, account: Account, reservation: int | None, ticks: int) -> int:
+        self._take_new_entries()  # an interrupt may have come before the last one was taken
+        row = self._accounts.next_row(kind, account, reservation, ticks)
+        self._database.execute("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?)", row)
+        self._take_new_entries()
+        self._begun.pop(str(reservation), None)
+        self._note()
+        return self._accounts.last
 
-    Args:
-        ledger: Holds what was spent.
-        budget_ticks: Ticks that the account ``motion`` may reach, see ``budget_ticks``.
-    """
+    def _take_new_entries(self) -> None:
+        query = "SELECT * FROM entry WHERE id > ? ORDER BY id"
+        for row in self._database.rows(query, (self._accounts.last,)):
+            self._accounts.take(row)
 
-    def __init__(self, ledger: Ledger, budget_ticks: int) -> None:
-        self.ledger = ledger
-        self.budget_ticks = budget_ticks
+    def _note_begun(self, number: int, ticks: int) -> None:
+        self._begun[str(number)] = ticks
+        self._note()
 
-    @property
-    def spent_ticks(self) -> int:
-        """Ticks of motion so far, reservations included."""
-        return self.ledger.spent_ticks("motion")
-
-    @property
-    def remaining_ticks(self) -> int:
-        """Ticks that may still be reserved, never negative."""
-        return max(0, self.budget_ticks - self.spent_ticks)
-
-    @contextmanager
-    def reserve(self, ticks: int) -> Iterator[Entry]:
-        """Reserve ticks of motion, see ``Ledger.reserve``.
-
-        Raises:
-            BudgetError: Fewer remain; nothing is reserved.
-        """
-        remaining = self.remaining_ticks
-        if ticks > remaining:
-            raise BudgetError(f"{ticks} ticks asked for, {remaining} remain in the budget")
-        with self.ledger.reserve("motion", ticks) as entry:
-            yield entry
-
-
-def budget_ticks(minutes: float, control_period: float) -> int:
-    """Whole control ticks in a number of robot minutes.
-
-    Args:
-        minutes: Robot minutes, taken as the decimal number that Python prints, so that 0.1 is a
-            tenth.
-        control_period: Seconds a tick, to the nanosecond.
-
-    Returns:
-        Ticks, rounded down: 40 minutes at 0.04 s are 60000.
-
-    Raises:
-        UserError: The minutes are not finite, or do not hold a single tick.
-    """
-    period = Fraction(round(control_period * 10**9), 10**9)
-    if not math.isfinite(minutes) or minutes <= 0:
-        raise UserError(f"budget is {minutes} minutes, allowed: a finite number above 0")
-    ticks = math.floor(Fraction(repr(float(minutes))) * 60 / period)
-    if ticks < 1:
-        raise UserError(
-            f"budget is {minutes} minutes, allowed: at least one control tick, "
-            f"{float(period / 60):g} minutes"
-        )
-    return ticks
+    def _note(self) -> None:
+        self._lock.write(last=self._accounts.last, begun=self._begun)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.durable_file import read_file, write_atomically
-from iher_robot.errors import UserError
+from iher_robot.sealed_json import open_line, seal
 
 UNKNOWN = "unknown"
 _DISTRIBUTIONS = ("iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
@@ -52,13 +52,19 @@ def write_provenance(path: Path, provenance: dict[str, Any]) -> None:
     """
     document = provenance
     if path.exists():
-        try:
-            document = json.loads(read_file(path, "provenance file"))
-            document.setdefault("resumed", []).append(provenance)
-        except (ValueError, AttributeError) as error:
-            raise UserError(f"{path} is no provenance file, or damaged: {error}") from error
-    text = json.dumps(document, indent=2) + "\n"
+        document = read_provenance(path)
+        document.setdefault("resumed", []).append(provenance)
+    text = json.dumps(seal(document), indent=2) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """Read what ``write_provenance`` wrote.
+
+    Raises:
+        UserError: It is missing or damaged.
+    """
+    return open_line(read_file(path, "provenance file"), path, "provenance file")
 
 
 def versions() -> dict[str, str]:

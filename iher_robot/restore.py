@@ -6,12 +6,15 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
+from iher_robot.accounts import Account
 from iher_robot.checkpoint import load_checkpoint
 from iher_robot.config import RunConfig, dump_config
-from iher_robot.episode_store import EpisodeStore
+from iher_robot.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
+from iher_robot.ledger import Ledger
 from iher_robot.run_directory import RunDirectory
+from iher_robot.stored_episode import DONE, StoredEpisode
 
 
 @dataclass(frozen=True)
@@ -21,26 +24,33 @@ class Restored:
     Attributes:
         learner: What ``Learner.state_dict`` returned, None before the first checkpoint.
         rows: Metrics of the finished epochs.
-        by_epoch: Real episodes of each finished epoch.
+        by_epoch: Real episodes of each finished epoch, those of earlier runs in the first.
         pending: Real episodes of the epoch that was under way.
+        warm_start: Whether these are of earlier runs.
+        collected: Real episodes that this run collected.
     """
 
     learner: dict[str, Any] | None
     rows: list[dict[str, float]]
     by_epoch: list[list[Episode]]
     pending: list[Episode]
+    warm_start: bool
+    collected: int
 
 
 def restore(
-    directory: RunDirectory, config: RunConfig, store: EpisodeStore, spent_ticks: int
+    directory: RunDirectory, config: RunConfig, store: EpisodeStore, ledger: Ledger
 ) -> Restored:
-    """Read a run folder and check that its parts belong together. Nothing is written.
+    """Read a run folder and check that its parts belong together.
+
+    Nothing is written but the settlement of what a crash left open in the ledger and an episode
+    accounts for.
 
     Args:
         directory: The run folder, new or of a stopped run.
         config: Settings that the run is about to go on with.
         store: Its real episodes.
-        spent_ticks: Control ticks of motion on its ledger.
+        ledger: Its accounts.
 
     Returns:
         The state to go on from.
@@ -50,15 +60,19 @@ def restore(
     """
     state = load_checkpoint(directory.checkpoint_path)
     by_epoch: dict[int, list[Episode]] = defaultdict(list)
+    spent: dict[Account, int] = defaultdict(int)
+    newest_entry = 0 if state is None else int(state["run"]["ledger_entry"])
+    collected = 0
     for stored in store:
+        _settle(stored, store, ledger)
+        spent[stored.account] += int(stored.elapsed.sum())
+        newest_entry = max(newest_entry, stored.entry)
         if stored.account == "motion":
             by_epoch[stored.epoch].append(stored.episode)
-    ticks = sum(len(episode) for episodes in by_epoch.values() for episode in episodes)
-    if spent_ticks < ticks:
-        raise UserError(
-            f"{directory.ledger_path} counts {spent_ticks} ticks of motion, but the stored "
-            f"episodes hold {ticks}: it lost entries; put the whole ledger back"
-        )
+            collected += 1
+    _check_ledger(ledger, spent, newest_entry)
+    if config.from_data:
+        by_epoch[1] = _read_warm_start(directory)
     finished = 0 if state is None else int(state["learner"]["epoch"])
     newest = max(by_epoch, default=0)
     if newest > finished + 1:
@@ -67,8 +81,9 @@ def restore(
             f"but there are episodes of epoch {newest}; put the newest one back"
         )
     pending = by_epoch[finished + 1]
+    warm_start = bool(config.from_data) and finished == 0
     if state is None:
-        return Restored(None, [], [], pending)
+        return Restored(None, [], [], pending, warm_start, collected)
     run = state["run"]
     if run["config"] != dump_config(config):
         raise UserError(
@@ -76,10 +91,42 @@ def restore(
             "a new run with another --out"
         )
     epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
-    found = sum(map(len, epochs))
+    found = collected - len(pending)
     if found != run["episodes"]:
         raise UserError(
             f"{directory.episodes_path} holds {found} episodes of the epochs up to {finished}, "
             f"the run collected {run['episodes']}; put the missing files back"
         )
-    return Restored(state["learner"], run["rows"], epochs, pending)
+    return Restored(state["learner"], run["rows"], epochs, pending, warm_start, collected)
+
+
+def _settle(stored: StoredEpisode, store: EpisodeStore, ledger: Ledger) -> None:
+    """Settle what an episode was reserved, if a crash of the machine came before it was.
+
+    A tick is on the disk before the next one begins, so that at most one more has begun.
+    """
+    if stored.entry not in ledger.open_reservations:
+        return
+    if stored.index == store.recovered and not store.durable_ticks:
+        return  # its last ticks may be lost: the whole reservation counts
+    used = int(stored.elapsed.sum())
+    ledger.settle(stored.entry, used if stored.ended == DONE else used + 1)
+
+
+def _check_ledger(ledger: Ledger, spent: dict[Account, int], newest_entry: int) -> None:
+    for account, ticks in spent.items():
+        if ledger.spent_ticks(account) < ticks:
+            raise UserError(
+                f"{ledger.path} counts {ledger.spent_ticks(account)} ticks of {account}, but the "
+                f"stored episodes hold {ticks}: it lost entries; put the whole ledger back"
+            )
+    if ledger.last_entry < newest_entry:
+        raise UserError(
+            f"{ledger.path} ends with entry {ledger.last_entry}, but entry {newest_entry} was "
+            "written: it lost entries; put the whole ledger back"
+        )
+
+
+def _read_warm_start(directory: RunDirectory) -> list[Episode]:
+    with EpisodeReader(directory.warm_start_path) as reader:
+        return [stored.episode for stored in reader]

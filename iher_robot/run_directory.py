@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -12,8 +12,11 @@ from typing import Any
 
 from iher_robot.durable_file import read_file, write_atomically
 from iher_robot.errors import UserError
+from iher_robot.sealed_json import open_line, seal_line
 
 Row = Mapping[str, Any]
+
+_SEAL = b"# sha256: "
 
 
 class RunDirectory:
@@ -29,6 +32,7 @@ class RunDirectory:
         self.provenance_path = path / "provenance.json"
         self.ledger_path = path / "ledger.sqlite"
         self.episodes_path = path / "episodes"
+        self.warm_start_path = path / "warm-start"
         self.checkpoint_path = path / "checkpoint.pt"
         self.metrics_path = path / "metrics.jsonl"
         self.policy_path = path / "policy.pt"
@@ -62,7 +66,9 @@ class RunDirectory:
                 "--out"
             ) from error
         directory = cls(path)
-        write_atomically(directory.config_path, lambda file: file.write(config_text.encode()))
+        text = config_text.encode()
+        sealed = text + _config_seal(text)
+        write_atomically(directory.config_path, lambda file: file.write(sealed))
         return directory
 
     @classmethod
@@ -82,7 +88,22 @@ class RunDirectory:
         for file in needed:
             if not file.is_file():
                 raise UserError(f"{path} is no run that can be resumed: it has no {file.name}")
+        directory.check_config()
         return directory
+
+    def check_config(self) -> None:
+        """Check that the settings are those that the run began with.
+
+        Raises:
+            UserError: They are not.
+        """
+        text = read_file(self.config_path, "config file")
+        end = text.rfind(_SEAL)
+        if end < 0 or text[end:] != _config_seal(text[:end]):
+            raise UserError(
+                f"{self.config_path} is not what the run was started with; put it back, or start "
+                "a new run with another --out"
+            )
 
     def append_metrics(self, row: Row) -> None:
         """Add one line to the metrics; numbers that are not finite become null.
@@ -93,11 +114,11 @@ class RunDirectory:
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        line = json.dumps({name: _plain(value) for name, value in row.items()}, allow_nan=False)
+        line = seal_line(_plain(row))
         try:
             with self.metrics_path.open("a+b") as file:
                 _drop_torn_line(file.fileno())
-                file.write(line.encode() + b"\n")
+                file.write(line + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -113,22 +134,15 @@ class RunDirectory:
         if not self.metrics_path.exists():
             return []
         *lines, _ = read_file(self.metrics_path, "metrics file").split(b"\n")
-        rows = []
-        for number, line in enumerate(lines, start=1):
-            try:
-                row = json.loads(line)
-            except (ValueError, RecursionError) as error:
-                raise UserError(f"{self.metrics_path}, line {number}: {error}") from error
-            if not isinstance(row, dict):
-                raise UserError(f"{self.metrics_path}, line {number}: expected an object")
-            rows.append(row)
-        return rows
+        return [
+            open_line(line, f"{self.metrics_path}, line {number},", "metrics")
+            for number, line in enumerate(lines, start=1)
+        ]
 
     def replace_metrics(self, rows: Sequence[Row]) -> None:
         """Write all lines of the metrics anew, as a checkpoint has them."""
-        lines = (json.dumps(_plain(row), allow_nan=False) + "\n" for row in rows)
-        text = "".join(lines)
-        write_atomically(self.metrics_path, lambda file: file.write(text.encode()))
+        text = b"".join(seal_line(_plain(row)) + b"\n" for row in rows)
+        write_atomically(self.metrics_path, lambda file: file.write(text))
 
 
 def default_run_path(
@@ -151,6 +165,10 @@ def default_run_path(
     """
     moment = (now or datetime.now()).strftime("%Y%m%d-%H%M%S")
     return root / f"{task}-{algo}-{Path(preset).stem}-seed{seed}-{moment}"
+
+
+def _config_seal(text: bytes) -> bytes:
+    return _SEAL + hashlib.sha256(text).hexdigest().encode() + b"\n"
 
 
 def _plain(value: Any) -> Any:

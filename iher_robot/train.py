@@ -12,17 +12,21 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
+from iher_robot.budget import Budget
 from iher_robot.callable_module import make_module_callable
 from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.config import dump_config, load_config, read_config
 from iher_robot.display import TrainingDisplay
+from iher_robot.episode_store import EpisodeStore
 from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
+from iher_robot.interface_file import keep_interface
 from iher_robot.ledger import Ledger
 from iher_robot.policy_fit import load_actor
 from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
 from iher_robot.training_run import TrainingRun
 from iher_robot.video import require_film
+from iher_robot.warm_start import check_sources, copy_sources
 from iher_robot.workcell import Workcell, open_workcell
 from tasks import canonical_name
 
@@ -94,6 +98,7 @@ def train(
     device: str = "auto",
     display: bool = True,
     video: bool = False,
+    from_data: Sequence[str | Path] = (),
 ) -> TrainResult:
     """Learn a task within a budget of robot minutes.
 
@@ -112,6 +117,8 @@ def train(
         device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
         display: Show progress while it runs.
         video: Film the final policy, in simulation.
+        from_data: Folders of earlier runs of the same task and robot; the learner begins with
+            their real episodes, which cost nothing.
 
     Returns:
         How the run ended.
@@ -129,12 +136,14 @@ def train(
         options["driver"] = driver
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
-    config = load_config(task, preset, algo, overrides, options, robot, connect)
+    sources = [str(Path(folder).resolve()) for folder in from_data]
+    config = load_config(task, preset, algo, overrides, options, robot, connect, sources)
     if video:
         require_film(config.chosen_robot, task)
     path = out or default_run_path(task, algo, preset, config.seed)
     # The robot is made first: a bad driver or budget should leave no folder behind.
     with open_workcell(config) as cell:
+        check_sources(config.from_data, cell.env.policy_interface())
         directory = RunDirectory.create(path, dump_config(config))
         return _run(cell, directory, display=display, video=video)
 
@@ -166,14 +175,18 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
+        budget = Budget(ledger, cell.budget_ticks)
+        minutes = cell.minutes_of(budget.budget_ticks)
+        keep_interface(directory.episodes_path, cell.env.policy_interface())
+        copy_sources(config.from_data, directory.warm_start_path)
+        durable = cell.simulator is None  # a robot that somebody waits for: each tick is kept
+        store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
         title = f"{config.task} on {config.chosen_robot.title}, {config.algo}, {config.preset}"
-        shown = stack.enter_context(
-            TrainingDisplay(config.budget_minutes, title=title, enabled=display)
-        )
-        shown.announce(cell.meaning_of_budget())
+        shown = stack.enter_context(TrainingDisplay(minutes, title=title, enabled=display))
+        shown.announce(cell.meaning_of_budget(budget.budget_ticks, budget.spent_ticks))
         try:
-            last = TrainingRun(cell, directory, ledger, shown, writer, provenance).run()
+            last = TrainingRun(cell, directory, ledger, store, shown, writer, provenance).run()
         except KeyboardInterrupt as error:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
@@ -185,7 +198,7 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
         success_rate=last["success"],
         final=final,
         robot_minutes=last["robot_minutes"],
-        budget_minutes=config.budget_minutes,
+        budget_minutes=minutes,
         wall_seconds=last["wall_seconds"],
         epochs=int(last["epoch"]),
         plot=directory.plot_path,

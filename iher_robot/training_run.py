@@ -11,6 +11,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from drivers import Clock, MonotonicClock
+from iher_robot.budget import Budget
 from iher_robot.checkpoint import save_checkpoint
 from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
 from iher_robot.config import dump_config
@@ -20,7 +21,7 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation import run_evaluation
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
-from iher_robot.ledger import Budget, Ledger
+from iher_robot.ledger import Ledger
 from iher_robot.patience import Patience
 from iher_robot.plot import plot_success
 from iher_robot.policy_file import save_policy
@@ -45,6 +46,7 @@ class TrainingRun:
         cell: Robot and learner.
         directory: The run folder; if it holds a checkpoint, the run goes on from there.
         ledger: Accounts of the run.
+        store: Its real episodes.
         display: Shows progress.
         writer: TensorBoard scalars.
         provenance: Where the run comes from.
@@ -56,6 +58,7 @@ class TrainingRun:
         cell: Workcell,
         directory: RunDirectory,
         ledger: Ledger,
+        store: EpisodeStore,
         display: TrainingDisplay,
         writer: SummaryWriter,
         provenance: dict[str, Any],
@@ -67,7 +70,7 @@ class TrainingRun:
         self.directory = directory
         self.ledger = ledger
         self.budget = Budget(ledger, cell.budget_ticks)
-        self.store = EpisodeStore(directory.episodes_path)
+        self.store = store
         self.display = display
         patience = Patience(
             cell.env.driver,
@@ -76,7 +79,7 @@ class TrainingRun:
             display.announce,
             MonotonicClock() if clock is None else clock,
         )
-        self.episodes = RobotEpisodes(cell.env, self.store, patience)
+        self.episodes = RobotEpisodes(cell.env, store, ledger, patience)
         self.writer = writer
         self.provenance = provenance
         self.rows: list[Row] = []
@@ -94,26 +97,32 @@ class TrainingRun:
         Raises:
             UserError: The budget is spent and left nothing to learn from.
         """
-        self._restore()
-        while not self._done():
-            self._collect()
-            if not self.pending:
-                raise UserError(
-                    f"the budget of {self.directory.path} is spent, but it holds no episode to "
-                    "learn from; start a new run with another --out"
-                )
-            self._learn()
+        with self.episodes:
+            warm_start = self._restore()
+            while not self._done():
+                if not warm_start:
+                    self._collect()
+                warm_start = False
+                if not self.pending:
+                    raise UserError(
+                        f"the budget of {self.directory.path} is spent, but it holds no episode to "
+                        "learn from; start a new run with another --out"
+                    )
+                self._learn()
         return self.rows[-1]
 
-    def _restore(self) -> None:
+    def _restore(self) -> bool:
         """Bring back what the run folder holds; episodes of an unfinished epoch stay pending.
 
         Everything is checked before anything is written.
+
+        Returns:
+            Whether the pending episodes are those of earlier runs.
         """
-        restored = restore(self.directory, self.config, self.store, self.budget.spent_ticks)
+        restored = restore(self.directory, self.config, self.store, self.ledger)
         self.rows = restored.rows
         self.pending = restored.pending
-        self.collected = len(restored.pending) + sum(map(len, restored.by_epoch))
+        self.collected = restored.collected
         if restored.learner is not None:
             self.learner.load_state_dict(restored.learner, restored.by_epoch)
             self.seconds_before = self.rows[-1]["wall_seconds"]
@@ -123,8 +132,13 @@ class TrainingRun:
                 f"going on after epoch {len(self.rows)}, with {self.collected} real episodes and "
                 f"{self._minutes:.2f} robot minutes spent"
             )
+        if restored.warm_start:
+            self.display.announce(
+                f"learning from {len(self.pending)} real episodes of earlier runs first"
+            )
         self.directory.replace_metrics(self.rows)
         write_provenance(self.directory.provenance_path, self.provenance)
+        return restored.warm_start
 
     def _done(self) -> bool:
         rates = [row["success"] for row in self.rows if "success" in row][-2:]
@@ -139,7 +153,7 @@ class TrainingRun:
 
     @property
     def _minutes(self) -> float:
-        return self.budget.spent_ticks * self.cell.env.driver.spec.control_period_s / 60.0
+        return self.cell.minutes_of(self.budget.spent_ticks)
 
     def _collect(self) -> None:
         """Collect the epoch's real episodes, as far as the budget goes."""
@@ -179,7 +193,7 @@ class TrainingRun:
         if self.cell.env.task.layout.object_entry is not None:
             row["object_moved"] = float(np.mean([self._moved(e) for e in self.pending]))
         try:
-            row |= self.learner.learn(self.display.phase)
+            row |= self.learner.learn(self._phase)
         except FloatingPointError as error:
             raise UserError(f"learning stopped in epoch {self.learner.epoch}: {error}") from error
         if self._spent or self.learner.epoch % self.config.evaluation.every_epochs == 0:
@@ -188,6 +202,10 @@ class TrainingRun:
         row["wall_seconds"] = self.seconds_before + time.monotonic() - self.started
         self.rows.append(row)
         self._write(row)
+
+    def _phase(self, name: str, done: int, total: int) -> None:
+        self.episodes.still_idle()
+        self.display.phase(name, done, total)
 
     def _moved(self, episode: Episode) -> bool:
         achieved = self.cell.env.task.goal_model.achieved_goal(episode.observations)
@@ -237,6 +255,7 @@ class TrainingRun:
             run={
                 "config": dump_config(self.config),
                 "episodes": self.collected,
+                "ledger_entry": self.ledger.last_entry,
                 "rows": self.rows,
             },
         )
@@ -251,5 +270,5 @@ class TrainingRun:
             self.directory.plot_path,
             title=f"{config.task} on {config.chosen_robot.title}",
             subtitle=f"seed {config.seed}, commit {self.provenance['commit'][:10]}",
-            budget_minutes=config.budget_minutes,
+            budget_minutes=self.cell.minutes_of(self.budget.budget_ticks),
         )

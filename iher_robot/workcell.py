@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import torch
 
+from iher_robot.budget import budget_ticks
 from iher_robot.config import RunConfig
 from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
-from iher_robot.ledger import budget_ticks
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,20 @@ class Workcell:
     learner: Learner
     budget_ticks: int
 
-    def meaning_of_budget(self) -> str:
-        """What the budget asks of the robot, in one sentence."""
+    def minutes_of(self, ticks: int) -> float:
+        """Robot minutes of so many control ticks."""
+        return ticks * self.env.driver.spec.control_period_s / 60.0
+
+    def meaning_of_budget(self, budget_ticks: int, spent_ticks: int) -> str:
+        """What the budget asks of the robot, in one sentence.
+
+        Args:
+            budget_ticks: Ticks of motion that the run may spend, granted ones included.
+            spent_ticks: Those that it has spent.
+        """
         per_episode = self.env.task.episode_ticks
-        episodes = -(-self.budget_ticks // per_episode)
+        left_ticks = max(0, budget_ticks - spent_ticks)
+        episodes = -(-left_ticks // per_episode)
         period_ms = self.env.driver.spec.control_period_s * 1e3
         place = (
             "on a simulator of its own, free of charge"
@@ -48,15 +58,18 @@ class Workcell:
         )
         evaluations = self._evaluations(episodes)
         evaluated = evaluations * self.evaluation_episodes
+        what = f"{self.minutes_of(left_ticks):.4g} robot minutes"
+        if spent_ticks:
+            what += f" of {self.minutes_of(budget_ticks):.4g} are left, which"
         sentence = (
-            f"{self.config.budget_minutes:g} robot minutes are {self.budget_ticks:,} ticks of "
-            f"{period_ms:g} ms: {episodes:,} episodes of up to {per_episode}, each with a reset; "
+            f"{what} are {left_ticks:,} ticks of {period_ms:g} ms: {episodes:,} episodes of up to "
+            f"{per_episode}, each with a reset; "
             f"evaluation runs {place}, {self.evaluation_episodes:,} episodes each time, about "
             f"{evaluated:,} in all"
         )
         if not self.env.driver.paces_itself:
             return sentence
-        motion = _wall_time(self.budget_ticks * period_ms / 1e3)
+        motion = _wall_time(left_ticks * period_ms / 1e3)
         evaluation = _wall_time(evaluated * per_episode * period_ms / 1e3)
         return (
             f"{sentence}; the robot moves in real time: about {motion} for the budget and "

@@ -17,7 +17,7 @@ import torch
 
 import iher_robot
 from iher_robot.cli import main
-from iher_robot.episode_store import EpisodeStore
+from iher_robot.episode_store import EpisodeReader
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
@@ -96,7 +96,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
         *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
         *"--until-success 0.9 --device cpu --quiet --robot worn --video".split(),
-        *"--connect tcp/10.0.0.7:7447 --connect tls/arm:7447".split(),
+        *"--connect tcp/10.0.0.7:7447 --connect tls/arm:7447 --from-data a --from-data b".split(),
     )
 
     assert outcome == Outcome(0, "what the application says\n", "")
@@ -115,6 +115,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         "device": "cpu",
         "display": False,
         "video": True,
+        "from_data": ["a", "b"],
     }
 
 
@@ -283,7 +284,7 @@ def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -
 def ticks(out: Path) -> tuple[int, int]:
     with Ledger(out / "ledger.sqlite") as ledger:
         charged = ledger.spent_ticks("motion")
-    return charged, sum(len(stored.episode) for stored in EpisodeStore(out / "episodes"))
+    return charged, sum(len(stored.episode) for stored in EpisodeReader(out / "episodes"))
 
 
 def test_sigterm_is_handled_as_before_once_the_command_line_is_done(run: Run) -> None:

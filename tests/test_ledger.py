@@ -13,8 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from iher_robot import sealed_json
+from iher_robot.accounts import ACCOUNTS, LEDGER, Account, lock_path, read_accounts
+from iher_robot.budget import Budget, BudgetError, budget_ticks
 from iher_robot.errors import UserError
-from iher_robot.ledger import ACCOUNTS, Account, Budget, BudgetError, Ledger, budget_ticks
+from iher_robot.ledger import Ledger
 
 
 @pytest.fixture
@@ -61,11 +64,89 @@ with ledger.reserve("motion", 50):
 """
 
 
+CRASH_AT_7 = CRASH.replace(
+    'with ledger.reserve("motion", 50):',
+    'with ledger.reserve("motion", 50) as entry:\n    entry.begin(7)',
+)
+
+
 def test_a_crash_inside_a_reservation_leaves_it_counted(path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", CRASH, str(path)], check=False)
     assert done.returncode == 9
     with Ledger(path) as ledger:
         assert ledger.spent_ticks("motion") == 98
+
+
+def test_a_crash_leaves_what_had_begun_counted(path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", CRASH_AT_7, str(path)], check=False)
+    assert done.returncode == 9
+    before = read_accounts(path)
+    assert before.spent["motion"] == 55
+    with Ledger(path) as ledger:
+        assert ledger.spent_ticks("motion") == 55
+        assert not ledger.open_reservations, "it is settled"
+
+
+@pytest.mark.parametrize("note", [b"", b"junk", b"another start of the machine"])
+def test_without_a_note_of_this_start_of_the_machine_a_crash_leaves_all_counted(
+    path: Path, note: bytes
+) -> None:
+    subprocess.run([sys.executable, "-c", CRASH_AT_7, str(path)], check=False)
+    lock_path(path).write_bytes(note or sealed_json.seal_line({"boot": "x", "begun": {"3": 7}}))
+    assert read_accounts(path).spent["motion"] == 98
+    with Ledger(path) as ledger:
+        assert ledger.spent_ticks("motion") == 98
+        assert ledger.open_reservations == {3: ("motion", 50)}
+
+
+def test_a_ledger_can_be_read_while_a_run_writes_it(path: Path) -> None:
+    with Ledger(path) as ledger, ledger.reserve("motion", 50) as entry:
+        entry.begin(3)
+        assert read_accounts(path).spent["motion"] == 3
+        assert ledger.spent_ticks("motion") == 50
+    with pytest.raises(UserError, match="there is no ledger at"):
+        read_accounts(path.with_name("absent.sqlite"))
+
+
+def test_a_ledger_that_lost_its_newest_entries_is_named(path: Path) -> None:
+    files = [path, path.with_name("ledger.sqlite-wal")]
+    ledger = Ledger(path)
+    with ledger.reserve("motion", 5) as entry:
+        old = [file.read_bytes() for file in files]
+        entry.settle(4)
+    ledger._database.close()
+    ledger._lock.close()
+    for file, content in zip(files, old, strict=True):
+        file.write_bytes(content)
+    with pytest.raises(UserError, match=r"ledger\.sqlite lost its entries from 2 to 2"):
+        Ledger(path)
+
+
+def test_a_changed_entry_is_noticed(path: Path) -> None:
+    with Ledger(path) as ledger:
+        for ticks in (5, 6):
+            with ledger.reserve("motion", ticks) as entry:
+                entry.settle(ticks)
+    connection = sqlite3.connect(path)
+    connection.execute("DROP TRIGGER entry_UPDATE")
+    connection.execute("UPDATE entry SET ticks = 1 WHERE id = 2")
+    connection.execute(LEDGER.schema[1])
+    connection.commit()
+    connection.close()
+    with pytest.raises(UserError, match="entry 2 is not as it was written"):
+        Ledger(path)
+
+
+def test_grants_are_kept(path: Path) -> None:
+    with Ledger(path) as ledger:
+        budget = Budget(ledger, 100)
+        ledger.grant(50)
+        assert budget.budget_ticks == 150
+        with pytest.raises(ValueError, match="granted"):
+            ledger.grant(0)
+    with Ledger(path) as ledger:
+        assert Budget(ledger, 100).remaining_ticks == 150
+        assert ledger.spent_ticks("motion") == 0
 
 
 def test_an_error_inside_a_reservation_leaves_it_counted(path: Path) -> None:
@@ -113,10 +194,8 @@ def test_what_is_written_cannot_be_changed(path: Path) -> None:
         entry.settle(4)
     connection = sqlite3.connect(path)
     for change in (
-        "UPDATE reservation SET ticks = 1",
-        "DELETE FROM reservation",
-        "UPDATE settlement SET ticks = 1",
-        "DELETE FROM settlement",
+        "UPDATE entry SET ticks = 1",
+        "DELETE FROM entry",
     ):
         with pytest.raises(sqlite3.IntegrityError, match="append-only"):
             connection.execute(change)
@@ -173,7 +252,7 @@ def test_a_foreign_database_is_no_ledger(path: Path) -> None:
 
 
 def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"absent/ledger\.sqlite"):
+    with pytest.raises(UserError, match=r"absent/ledger\.lock"):
         Ledger(tmp_path / "absent" / "ledger.sqlite")
 
 

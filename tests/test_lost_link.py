@@ -20,7 +20,7 @@ from drivers import DriverError, LeaseRefused, LinkLost, RobotSpec, SimulatedClo
 from iher_robot.config import load_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.env import GoalRobotEnv
-from iher_robot.episode_store import EpisodeStore
+from iher_robot.episode_store import EpisodeReader
 from iher_robot.errors import UserError
 from iher_robot.learning.learner import Learner
 from iher_robot.ledger import Ledger
@@ -149,7 +149,7 @@ def spent(out: Path, account: Any = "motion") -> int:
 
 
 def stored(out: Path, account: str = "motion") -> list[int]:
-    episodes = EpisodeStore(out / "episodes")
+    episodes = EpisodeReader(out / "episodes")
     return [len(kept.episode) for kept in episodes if kept.account == account]
 
 
@@ -182,10 +182,11 @@ def test_an_attempt_that_did_not_begin_is_charged_nothing(
     assert len(pauses.slept_s) == 3
     assert spent(tmp_path / "run") == 100
     with sqlite3.connect(tmp_path / "run" / "ledger.sqlite") as ledger:
-        entries = ledger.execute("SELECT ticks FROM settlement ORDER BY id").fetchall()
-        (reserved,) = ledger.execute("SELECT COUNT(*) FROM reservation").fetchone()
-    assert [ticks for (ticks,) in entries] == [0, 0, 0, 50, 50, 50]  # the last one is evaluation
-    assert reserved == len(entries)
+        query = "SELECT ticks FROM entry WHERE kind = ? AND account != 'reset' ORDER BY id"
+        settled = [ticks for (ticks,) in ledger.execute(query, ("settle",))]
+        reserved = ledger.execute(query, ("reserve",)).fetchall()
+    assert settled == [0, 0, 0, 50, 50, 50]  # the last one is evaluation
+    assert len(reserved) == len(settled)
 
 
 @pytest.mark.parametrize("hook", ["reset", "read"])
@@ -362,12 +363,14 @@ def test_the_meaning_of_the_budget_says_how_long_the_robot_moves(
     config = load_config("reach", "paper", "iher", overrides, {"driver": "fake", "device": "cpu"})
     with open_workcell(config) as cell:
         assert cell.simulator is None
-        simulated = cell.meaning_of_budget()
+        simulated = cell.meaning_of_budget(cell.budget_ticks, 0)
         monkeypatch.setattr(RemoteRobot, "paces_itself", True)
-        meaning = cell.meaning_of_budget()
+        meaning = cell.meaning_of_budget(cell.budget_ticks, 0)
+        later = cell.meaning_of_budget(cell.budget_ticks + 1000, 3000)
     # 3,000 ticks are 60 episodes, in epochs of two; each of 30 evaluations has 200 ticks.
     assert "60 episodes of up to 50" in meaning
     assert "on the robot, on an account of its own, 4 episodes each time, about 120 in" in meaning
     assert "about 0:02:00 for the budget and 0:04:00 for evaluation" in meaning
     assert "real time" not in simulated
     assert meaning.startswith(simulated)
+    assert later.startswith("0.6667 robot minutes of 2.667 are left, which are 1,000 ticks")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from iher_robot.errors import UserError
 from iher_robot.ledger import Ledger
@@ -24,19 +25,27 @@ def run(tmp_path: Path) -> RunDirectory:
 
 def test_a_new_run_keeps_its_settings_and_can_be_opened(run: RunDirectory) -> None:
     opened = RunDirectory.open(run.path)
-    assert opened.config_path.read_text() == "seed: 3\n"
+    assert yaml.safe_load(opened.config_path.read_text()) == {"seed": 3}
     assert opened.read_metrics() == []
+
+
+def test_settings_that_were_changed_are_refused(run: RunDirectory) -> None:
+    text = run.config_path.read_text()
+    for changed in (text.replace("3", "4"), text.replace("sha256", "sha"), "seed: 3\n", text[1:]):
+        run.config_path.write_text(changed)
+        with pytest.raises(UserError, match=r"config\.yaml is not what the run was started with"):
+            RunDirectory.open(run.path)
 
 
 def test_an_empty_folder_may_be_used(tmp_path: Path) -> None:
     RunDirectory.create(tmp_path, "seed: 3\n")
-    assert (tmp_path / "config.yaml").read_text() == "seed: 3\n"
+    assert RunDirectory.open(tmp_path).config_path.read_text().startswith("seed: 3\n")
 
 
 def test_a_folder_that_holds_something_is_left_alone(run: RunDirectory) -> None:
     with pytest.raises(UserError, match=r"not empty.*--resume .*one.*--out"):
         RunDirectory.create(run.path, "seed: 4\n")
-    assert run.config_path.read_text() == "seed: 3\n"
+    assert run.config_path.read_text().startswith("seed: 3\n")
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

@@ -124,7 +124,6 @@ class ControlLoop:
                 self.tick()
         finally:
             self._robot.close()
-            self._total.end()
 
     def tick(self) -> None:
         """One control tick."""
@@ -137,7 +136,9 @@ class ControlLoop:
             self._take_until(self._next_ns)
         self._let_go_of_the_silent()
         if self._robot.driver.is_armed:
-            self._total.tick()
+            self._total.tick("motion")
+        elif self._lease.token:
+            self._total.tick("idle")
         self._robot.driver.advance()
         self._plan_next_tick(period_ns)
         self._publish()
@@ -215,8 +216,6 @@ class ControlLoop:
             self._requests.disarm("the client that had the robot has fallen silent")
         if armed and self._vitals.unwatched_s > _UNWATCHED_S:
             self._requests.disarm("the host's watchdog is frozen")
-        if not self._robot.driver.is_armed:
-            self._total.end()
 
     def _publish(self) -> None:
         state = self._robot.state()

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import threading
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from drivers.closing import Closing
 from drivers.gate import Fault
+from iher_robot.accounts import ACCOUNTS, Account
 from iher_robot.durable_file import read_file, write_atomically
 from iher_robot.errors import UserError
-from iher_robot.ledger import ACCOUNTS, Account, Entry, Ledger, LedgerInUse
+from iher_robot.held_file import FileHeld
+from iher_robot.ledger import Entry, Ledger
+from iher_robot.sealed_json import open_line, seal_line
 
 _TICKS_AHEAD = 100_000
 """Ticks of the counter that are written down at once, a good hour at 25 Hz."""
-_RESERVED_TICKS = 50
-"""Ticks of motion that are written down before they begin."""
+_RESERVED_TICKS = 500
+"""Ticks of an account that are written down before they begin."""
 
 
 class RobotMemory:
@@ -71,7 +73,7 @@ class RobotMemory:
                 self._write(self._content | {"ticks": tick + _TICKS_AHEAD})
 
     def _write(self, content: dict[str, Any]) -> None:
-        data = json.dumps(content).encode()
+        data = seal_line(content)
         write_atomically(self._path, lambda file: file.write(data))
         self._content = content
 
@@ -79,7 +81,8 @@ class RobotMemory:
 class RobotTotal(Closing):
     """The robot's own account of control ticks, over all learners and runs.
 
-    Ticks are written down before they begin; after a crash it counts too much, never too little.
+    Ticks are written down before they begin. After a crash of the host it counts the one that was
+    about to begin, after a crash of the machine up to 500 too many, and never too few.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -94,42 +97,47 @@ class RobotTotal(Closing):
         """
         try:
             self._ledger = Ledger(folder / "total.sqlite")
-        except LedgerInUse as error:
+        except FileHeld as error:
             raise UserError(
                 f"robot {name!r} is served by another process already ({folder}); stop that one, "
                 "or serve under another --name"
             ) from error
         self._spent = {account: self._ledger.spent_ticks(account) for account in ACCOUNTS}
+        self._begun: dict[Account, Entry] = {}
+        self._used: dict[Account, int] = {}
         self._stack = ExitStack()
-        self._entry: Entry | None = None
-        self._used = 0
 
-    def begin(self) -> None:
-        """Write down ticks of motion that may begin now."""
-        if self._entry is None:
-            self._reserve()
+    def begin(self, account: Account) -> None:
+        """Write down ticks of an account that may begin now."""
+        entry = self._begun.get(account)
+        if entry is None or self._used[account] == entry.reserved_ticks:
+            self._settle(account)
+            entry = self._stack.enter_context(self._ledger.reserve(account, _RESERVED_TICKS))
+            entry.begin(0)
+            self._begun[account], self._used[account] = entry, 0
 
-    def tick(self) -> None:
-        """Count a tick of motion that is about to begin."""
-        if self._entry is None or self._used == _RESERVED_TICKS:
-            self.end()
-            self._reserve()
-        self._used += 1
-        self._spent["motion"] += 1
+    def tick(self, account: Account) -> None:
+        """Count a tick that is about to begin."""
+        self.begin(account)
+        self._used[account] += 1
+        self._begun[account].begin(self._used[account])
+        self._spent[account] += 1
 
-    def end(self) -> None:
-        """Settle what was written down and not used."""
-        if self._entry is not None:
-            self._entry.settle(self._used)
-            self._stack.close()
-        self._entry, self._used = None, 0
+    @contextmanager
+    def longest(self, account: Account, ticks: int) -> Iterator[Entry]:
+        """Write down the most ticks that something may take; settle inside the block.
 
-    def add(self, account: Account, ticks: int) -> None:
-        """Count ticks of another account."""
-        if ticks > 0:
+        Args:
+            account: What they are for.
+            ticks: The most.
+        """
+        try:
             with self._ledger.reserve(account, ticks) as entry:
-                entry.settle(ticks)
-            self._spent[account] += ticks
+                yield entry
+        finally:
+            open_ticks = self._begun[account].reserved_ticks if account in self._begun else 0
+            used = self._used.get(account, 0)
+            self._spent[account] = self._ledger.spent_ticks(account) - open_ticks + used
 
     def spent(self) -> dict[str, int]:
         """Ticks by account."""
@@ -137,25 +145,22 @@ class RobotTotal(Closing):
 
     def close(self) -> None:
         """Settle what was written down, and release the file."""
-        self.end()
+        for account in list(self._begun):
+            self._settle(account)
+        self._stack.close()
         self._ledger.close()
 
-    def _reserve(self) -> None:
-        self._entry = self._stack.enter_context(self._ledger.reserve("motion", _RESERVED_TICKS))
+    def _settle(self, account: Account) -> None:
+        entry = self._begun.pop(account, None)
+        if entry is not None:
+            entry.settle(self._used[account])
 
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(read_file(path, "robot memory"))
-        fault = content["fault"]
-        whole = isinstance(content["ticks"], int) and (
-            fault is None or (isinstance(fault["name"], str) and isinstance(fault["reason"], str))
-        )
-    except (ValueError, KeyError, TypeError):
-        whole = False
-    if not whole:
+        return open_line(read_file(path, "robot memory"), path, "robot memory")
+    except UserError as error:
         raise UserError(
             f"{path} is damaged: it says whether the robot is stopped; look at the robot, then "
             "put the file back or remove it"
-        )
-    return dict(content)
+        ) from error

@@ -32,6 +32,9 @@ log = logging.getLogger(__name__)
 
 Result = dict[str, Any]
 
+_LONGEST_RESET_S = 120.0
+"""Robot time that is written down before a reset."""
+
 
 class RequestDesk:
     """Answers requests between two ticks, and stops at any time.
@@ -121,7 +124,6 @@ class RequestDesk:
     def disarm(self, because: str) -> None:
         """Disarm the robot on the host's own account."""
         self._robot.driver.disarm()
-        self._total.end()
         self.disarmed_because = because
 
     def _spec(self, body: bytes) -> Result:
@@ -180,12 +182,8 @@ class RequestDesk:
         self._require(request)
         driver = self._robot.driver
         driver.limit_speed(request.speed)
-        self._total.begin()
-        try:
-            driver.arm()
-        except BaseException:
-            self._total.end()
-            raise
+        self._total.begin("motion")  # what cannot be counted does not move
+        driver.arm()
         self.disarmed_because = ""
         self._deadman.heard()
         return {}
@@ -206,14 +204,15 @@ class RequestDesk:
         self._slow()
         self._robot.driver.limit_speed(request.speed)
         before = self._robot.state().stamp_ns
-        try:
-            result = self._robot.driver.reset(ResetRequest(places, request.seed))
-        finally:  # one that failed may have moved, too
-            self._desk.forget()
-            self._lease.heard()
-            after = self._robot.state()
-            elapsed = (after.stamp_ns - before) // self._robot.spec.control_period_ns
-            self._total.add("reset", elapsed)
+        period_ns = self._robot.spec.control_period_ns
+        with self._total.longest("reset", round(_LONGEST_RESET_S * 1e9 / period_ns)) as entry:
+            try:
+                result = self._robot.driver.reset(ResetRequest(places, request.seed))
+            finally:  # one that failed may have moved, too
+                self._desk.forget()
+                self._lease.heard()
+                after = self._robot.state()
+                entry.settle((after.stamp_ns - before) // period_ns)
         self.published(after.seq)
         if result.outcome is ResetOutcome.FAILED:
             log.warning("reset of %s failed: %s", self._robot.spec.name, result.message)

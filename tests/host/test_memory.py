@@ -39,24 +39,49 @@ def test_a_damaged_memory_is_no_robot_without_faults(tmp_path: Path, text: str) 
 
 def test_ticks_are_counted_over_restarts(tmp_path: Path) -> None:
     with RobotTotal(tmp_path, "fetch") as total:
-        total.begin()
-        for _ in range(120):
-            total.tick()
-        total.end()
-        total.add("reset", 7)
-        assert total.spent()["motion"] == 120
+        total.begin("motion")
+        for _ in range(620):
+            total.tick("motion")
+        with total.longest("reset", 3000) as entry:
+            entry.settle(7)
+        assert (total.spent()["motion"], total.spent()["reset"]) == (620, 7)
     with RobotTotal(tmp_path, "fetch") as total:
-        assert (total.spent()["motion"], total.spent()["reset"]) == (120, 7)
+        assert (total.spent()["motion"], total.spent()["reset"]) == (620, 7)
 
 
-def test_a_crash_counts_too_much_and_never_too_little(tmp_path: Path) -> None:
+def crash(total: RobotTotal) -> None:
+    """As when its process dies: nothing is settled."""
+    total._ledger.close()
+
+
+def test_a_crash_of_the_host_counts_what_had_begun(tmp_path: Path) -> None:
     total = RobotTotal(tmp_path, "fetch")
-    total.begin()
+    total.begin("motion")
     for _ in range(60):
-        total.tick()
-    total._ledger.close()  # as when the process dies: nothing is settled
+        total.tick("motion")
+    crash(total)
     with RobotTotal(tmp_path, "fetch") as again:
-        assert 60 <= again.spent()["motion"] <= 100
+        assert again.spent()["motion"] == 60
+
+
+def test_a_crash_of_the_machine_counts_too_much_and_never_too_little(tmp_path: Path) -> None:
+    total = RobotTotal(tmp_path, "fetch")
+    for _ in range(60):
+        total.tick("motion")
+    crash(total)
+    (tmp_path / "total.lock").unlink()  # what it says is of another start of the machine
+    with RobotTotal(tmp_path, "fetch") as again:
+        assert 60 <= again.spent()["motion"] <= 600
+
+
+def test_a_crash_in_a_reset_counts_the_longest_one(tmp_path: Path) -> None:
+    total = RobotTotal(tmp_path, "fetch")
+    with pytest.raises(KeyboardInterrupt), total.longest("reset", 3000):
+        raise KeyboardInterrupt
+    assert total.spent()["reset"] == 3000
+    crash(total)
+    with RobotTotal(tmp_path, "fetch") as again:
+        assert again.spent()["reset"] == 3000
 
 
 def test_two_hosts_of_one_robot_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,169 @@
+"""SQLite files that are whole or refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.closing import Closing
+from iher_robot.errors import UserError
+
+
+@dataclass(frozen=True)
+class Format:
+    """What a kind of database looks like.
+
+    Attributes:
+        kind: Its name in messages, such as ``"ledger"``.
+        application_id: Four bytes in the file's header.
+        version: Of the format, from 1.
+        schema: Statements that make it, in the order of their execution.
+    """
+
+    kind: str
+    application_id: int
+    version: int
+    schema: tuple[str, ...]
+
+
+class Database(Closing):
+    """One SQLite file with a write-ahead log, every page, table and trigger of it as it should be.
+
+    Values can still be damaged: rows carry digests of their own.
+
+    Args:
+        path: The file; created if it does not exist, unless it is only read.
+        form: What it must look like.
+        read_only: Whether to change nothing; others may be writing meanwhile.
+
+    Raises:
+        UserError: It is another file, of another version, damaged, or cannot be opened.
+    """
+
+    def __init__(self, path: Path, form: Format, *, read_only: bool = False) -> None:
+        self.path = path
+        self._form = form
+        if read_only and not path.is_file():
+            raise UserError(f"there is no {form.kind} at {path}")
+        mode = "ro" if read_only else "rwc"
+        with self._explained("open"):
+            self._connection = sqlite3.connect(
+                f"{path.resolve().as_uri()}?mode={mode}",
+                uri=True,
+                timeout=5.0 if read_only else 0.0,
+                isolation_level=None,
+            )
+        try:
+            with self._explained("open"):
+                self._check(read_only)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def durable(self, durable: bool) -> None:
+        """Whether a commit waits for the disk.
+
+        Without waiting it survives a crash of the program, and of the machine only once a later
+        one has waited.
+        """
+        self.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
+
+    def execute(self, statement: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        """Run one statement.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk; nothing of it is written.
+            sqlite3.IntegrityError: The statement breaks a rule of the tables.
+        """
+        with self._explained("write"):
+            return self._connection.execute(statement, values)
+
+    def rows(self, statement: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """Return what a query finds.
+
+        Raises:
+            UserError: The file cannot be read, or is damaged.
+        """
+        with self._explained("read"):
+            return self._connection.execute(statement, values).fetchall()
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Write all of what the block does, or nothing."""
+        self.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self.execute("COMMIT")
+        except BaseException:
+            if self._connection.in_transaction:  # some errors have ended it already
+                self._connection.execute("ROLLBACK")
+            raise
+
+    def close(self) -> None:
+        """Release the file; closing twice does nothing."""
+        self._connection.close()
+
+    def _check(self, read_only: bool) -> None:
+        execute = self._connection.execute
+        execute("PRAGMA trusted_schema = OFF")
+        execute("PRAGMA foreign_keys = ON")
+        if not read_only:
+            execute("PRAGMA synchronous = FULL")
+            self._create_if_empty(execute)
+        found = (_number(execute, "application_id"), _number(execute, "user_version"))
+        if found[0] != self._form.application_id:
+            raise UserError(f"{self.path} is no {self._form.kind} of iher-robot")
+        if found[1] != self._form.version:
+            raise UserError(
+                f"{self.path} has {self._form.kind} format {found[1]}, this iher-robot reads "
+                f"{self._form.version}; use the iher-robot that wrote it"
+            )
+        statements = {text for (text,) in execute("SELECT sql FROM sqlite_schema") if text}
+        statements = {text for text in statements if not text.startswith("CREATE TABLE sqlite_")}
+        (problem,) = execute("PRAGMA integrity_check(1)").fetchone()
+        if statements != set(self._form.schema) or problem != "ok":
+            raise sqlite3.DatabaseError(problem if problem != "ok" else "its tables are not ours")
+        if not read_only:  # last: another program's file is left as it is
+            execute("PRAGMA journal_mode = WAL")
+
+    def _create_if_empty(self, execute: Callable[..., sqlite3.Cursor]) -> None:
+        execute("BEGIN IMMEDIATE")
+        (tables,) = execute("SELECT COUNT(*) FROM sqlite_schema").fetchone()
+        if tables == 0 and _number(execute, "application_id") == 0:
+            for statement in self._form.schema:
+                execute(statement)
+            execute(f"PRAGMA application_id = {self._form.application_id}")
+            execute(f"PRAGMA user_version = {self._form.version}")
+        execute("COMMIT")
+
+    @contextmanager
+    def _explained(self, doing: str) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.IntegrityError:
+            raise
+        except sqlite3.Error as error:
+            primary = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
+            if primary == sqlite3.SQLITE_FULL:
+                raise UserError(f"cannot {doing} {self.path}: No space left on device") from error
+            if primary in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR):
+                kind = self._form.kind
+                raise UserError(f"{self.path} is no {kind}, or damaged: {error}") from error
+            raise UserError(f"cannot {doing} {self.path}: {error}") from error
+
+
+def row_seal(*values: Any) -> bytes:
+    """Digest of the values of a row: integers, text, bytes and None."""
+    text = json.dumps(values, default=bytes.hex)
+    return hashlib.blake2b(text.encode(), digest_size=16).digest()
+
+
+def _number(execute: Callable[..., sqlite3.Cursor], pragma: str) -> int:
+    (value,) = execute(f"PRAGMA {pragma}").fetchone()
+    return int(value)

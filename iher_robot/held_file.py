@@ -1,0 +1,94 @@
+"""A file that one process holds, with a note in it of how far its holder got."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.closing import Closing
+from iher_robot.errors import UserError
+from iher_robot.sealed_json import open_line, seal_line
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_SIZE = 4096
+
+
+class FileHeld(UserError):
+    """Another process holds a file."""
+
+
+class HeldFile(Closing):
+    """One process at a time holds it, until it closes the file or dies.
+
+    What it notes is with the system at once and never waits for a disk: after a crash of the
+    program it is exact, after a crash of the machine it counts for nothing.
+
+    Attributes:
+        note: What the last holder noted; empty if nothing, if the machine was started since, or
+            if it is damaged.
+    """
+
+    def __init__(self, path: Path, in_use: str) -> None:
+        """Take hold of a file, or make it.
+
+        Args:
+            path: The file.
+            in_use: The sentence for a user when another process holds it.
+
+        Raises:
+            FileHeld: It does.
+            UserError: The file cannot be opened.
+        """
+        self.path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise UserError(f"cannot open {path}: {error.strerror}") from error
+        self._open = True
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.close()
+            raise FileHeld(in_use) from None
+        self.note = self._read()
+
+    def write(self, **note: Any) -> None:
+        """Replace the note.
+
+        Args:
+            note: Plain values, a few kilobytes at most.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk.
+        """
+        line = seal_line({"boot": _boot(), "pid": os.getpid()} | note).ljust(_SIZE)
+        assert len(line) == _SIZE, len(line)
+        try:
+            os.pwrite(self._descriptor, line, 0)  # never shorter: a full disk keeps the old one
+        except OSError as error:
+            raise UserError(f"cannot write {self.path}: {error.strerror}") from error
+
+    def close(self) -> None:
+        """Let go of the file; closing twice does nothing."""
+        if self._open:
+            self._open = False
+            os.close(self._descriptor)
+
+    def _read(self) -> Mapping[str, Any]:
+        return read_note(self.path)
+
+
+def read_note(path: Path) -> Mapping[str, Any]:
+    """What the holder of a file noted last, see ``HeldFile.note``; it may be holding it still."""
+    try:
+        note = open_line(path.read_bytes()[:_SIZE].rstrip(), path, "lock file")
+    except (OSError, UserError):
+        return {}
+    return note if note.get("boot") == _boot() else {}
+
+
+def _boot() -> str:
+    return _BOOT_ID.read_text().strip()

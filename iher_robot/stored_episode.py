@@ -1,0 +1,227 @@
+"""A real episode as it is kept: its ticks, how it came about, and its file."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iher_robot.accounts import ACCOUNTS, Account
+from iher_robot.durable_file import check_seal, read_file, seal_zip
+from iher_robot.errors import UserError
+from iher_robot.learning.episode import Episode
+
+DONE = "done"
+"""How an episode ended that nothing cut short."""
+
+# What numpy and zipfile raise on a foreign archive.
+UNREADABLE = (
+    AttributeError,
+    EOFError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+_ARRAYS = ("observations", "actions", "requested_actions", "valid", "desired_goal")
+
+
+@dataclass(frozen=True)
+class EpisodeHeader:
+    """What is known of an episode before its first tick.
+
+    Attributes:
+        epoch: Epoch that it belongs to.
+        told_source: Source that the policy was told.
+        account: Account that its ticks are charged to.
+        seed: Decided its start, its goal and the noise.
+        entry: Number of the reservation in the run's ledger.
+    """
+
+    epoch: int
+    told_source: int
+    account: Account
+    seed: int
+    entry: int
+
+    def to_json(self) -> str:
+        """Text for ``from_json``."""
+        return json.dumps(
+            {f.name: getattr(self, f.name) for f in dataclasses.fields(EpisodeHeader)}
+        )
+
+    @staticmethod
+    def from_json(text: str) -> EpisodeHeader:
+        """Read what ``to_json`` wrote.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        try:
+            header = EpisodeHeader(**json.loads(text))
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+        if header.account not in ACCOUNTS:
+            raise ValueError(f"account {header.account!r} does not exist")
+        return header
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedTick:
+    """One control tick.
+
+    Attributes:
+        observation: What it ended with. ``(obs_dim,)``
+        action: The action as it was applied, in [-1, 1]. ``(action_dim,)``
+        requested_action: The action as it was asked for. ``(action_dim,)``
+        valid: Whether it may be learned from.
+        seq: The robot's own tick counter at its end.
+        elapsed: Ticks that are charged for it: those that passed unseen before it included.
+    """
+
+    observation: NDArray[np.floating]
+    action: NDArray[np.floating]
+    requested_action: NDArray[np.floating]
+    valid: bool
+    seq: int
+    elapsed: int
+
+    def pack(self) -> bytes:
+        """One record in NumPy's format, for ``unpack``."""
+        values = [np.asarray(getattr(self, f.name)) for f in dataclasses.fields(RecordedTick)]
+        names = [f.name for f in dataclasses.fields(RecordedTick)]
+        kind = [(name, value.dtype, value.shape) for name, value in zip(names, values, strict=True)]
+        return pack_array(np.array(tuple(values), dtype=kind))
+
+    @staticmethod
+    def unpack(record: bytes) -> RecordedTick:
+        """Read what ``pack`` wrote.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        row = unpack_array(record)
+        return RecordedTick(
+            observation=row["observation"],
+            action=row["action"],
+            requested_action=row["requested_action"],
+            valid=bool(row["valid"]),
+            seq=int(row["seq"]),
+            elapsed=int(row["elapsed"]),
+        )
+
+
+@dataclass(frozen=True)
+class StoredEpisode(EpisodeHeader):
+    """A real episode.
+
+    Attributes:
+        index: Place in the store, from 0.
+        ended: ``"done"``, or what cut it short.
+        seqs: The robot's own tick counter at the end of each tick. ``(length,)``
+        elapsed: Ticks charged for each, usually 1. ``(length,)``
+        episode: The data, in the precision in which they were given.
+    """
+
+    index: int
+    ended: str
+    seqs: NDArray[np.int64]
+    elapsed: NDArray[np.int64]
+    episode: Episode
+
+    @property
+    def header(self) -> EpisodeHeader:
+        """What was known before its first tick."""
+        return EpisodeHeader(self.epoch, self.told_source, self.account, self.seed, self.entry)
+
+    def pack(self) -> bytes:
+        """A sealed archive in NumPy's format, for ``read_episode``."""
+        buffer = io.BytesIO()
+        np.savez(
+            buffer,
+            allow_pickle=False,
+            index=np.int64(self.index),
+            header=np.str_(self.header.to_json()),
+            ended=np.str_(self.ended),
+            seqs=self.seqs,
+            elapsed=self.elapsed,
+            **{name: getattr(self.episode, name) for name in _ARRAYS},
+        )
+        return seal_zip(buffer.getvalue())
+
+
+def make_episode(
+    start: NDArray[np.floating], desired_goal: NDArray[np.floating], ticks: Sequence[RecordedTick]
+) -> Episode:
+    """Put recorded ticks together.
+
+    Args:
+        start: Observation before the first tick. ``(obs_dim,)``
+        desired_goal: ``(goal_dim,)``
+        ticks: At least one.
+    """
+    return Episode(
+        observations=np.stack([start, *(tick.observation for tick in ticks)]),
+        actions=np.stack([tick.action for tick in ticks]),
+        requested_actions=np.stack([tick.requested_action for tick in ticks]),
+        valid=np.array([tick.valid for tick in ticks]),
+        desired_goal=desired_goal,
+    )
+
+
+def read_episode(path: Path, index: int) -> StoredEpisode:
+    """Read an episode's file and check that every byte is as it was written.
+
+    Args:
+        path: The file.
+        index: Place in the store that it should be of.
+
+    Raises:
+        UserError: The file is missing, truncated, damaged, or another episode's.
+    """
+    sealed = read_file(path, "episode file")
+    check_seal(sealed, path, "episode file")
+    try:
+        with np.load(io.BytesIO(sealed), allow_pickle=False) as file:
+            stored = StoredEpisode(
+                **dataclasses.asdict(EpisodeHeader.from_json(str(file["header"]))),
+                index=int(file["index"]),
+                ended=str(file["ended"]),
+                seqs=file["seqs"],
+                elapsed=file["elapsed"],
+                episode=Episode(**{name: file[name] for name in _ARRAYS}),
+            )
+    except UNREADABLE as error:
+        raise UserError(f"{path} is no episode file of iher-robot: {error}") from error
+    if stored.index != index:
+        raise UserError(f"{path} holds episode {stored.index}; restore the files' names")
+    return stored
+
+
+def pack_array(array: NDArray[Any]) -> bytes:
+    """An array in NumPy's file format."""
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def unpack_array(content: bytes) -> NDArray[Any]:
+    """Read an array in NumPy's file format.
+
+    Raises:
+        ValueError: It is something else, or holds objects.
+    """
+    array: NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
+    return array
