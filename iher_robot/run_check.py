@@ -11,7 +11,7 @@ from pathlib import Path
 from iher_robot.accounts import Account
 from iher_robot.durable_file import check_seal, read_file
 from iher_robot.errors import UserError
-from iher_robot.run_data import RunData
+from iher_robot.run_data import RunData, examine_store
 from iher_robot.stored_episode import StoredEpisode
 
 
@@ -20,7 +20,7 @@ class Verification:
     """What a check found.
 
     Attributes:
-        episodes: Episodes that are whole.
+        episodes: Episodes that are whole, those that the run began with included.
         ticks: Ticks in them.
         problems: A sentence for each thing that is damaged.
     """
@@ -55,9 +55,10 @@ def check_run(run: RunData) -> Verification:
     configured = not problems
     with _noted(problems):
         run.directory.check_config()
-    stored = list(_whole_episodes(run, problems))
+    stored = list(_whole_episodes(run.directory.episodes_path, problems))
+    earlier = list(_whole_episodes(run.directory.warm_start_path, problems))
     if configured:
-        for one in stored:
+        for one in stored + earlier:
             with _noted(problems):
                 run.require_own_task(one)
         with _noted(problems):
@@ -72,8 +73,8 @@ def check_run(run: RunData) -> Verification:
     for path in (run.directory.policy_path, run.directory.checkpoint_path):
         with _noted(problems):
             _check_seal(path)
-    ticks = sum(len(one.episode) for one in stored)
-    return Verification(len(stored), ticks, tuple(problems))
+    ticks = sum(len(one.episode) for one in stored + earlier)
+    return Verification(len(stored) + len(earlier), ticks, tuple(problems))
 
 
 @contextmanager
@@ -84,8 +85,8 @@ def _noted(problems: list[str]) -> Iterator[None]:
         problems.append(str(error))
 
 
-def _whole_episodes(run: RunData, problems: list[str]) -> Iterator[StoredEpisode]:
-    for found in run.examine_episodes():
+def _whole_episodes(directory: Path, problems: list[str]) -> Iterator[StoredEpisode]:
+    for found in examine_store(directory):
         if isinstance(found, UserError):
             problems.append(str(found))
         else:

@@ -131,20 +131,6 @@ class RunData(Closing):
         """Read all episodes, oldest first."""
         return (self.load(index) for index in range(len(self)))
 
-    def examine_episodes(self) -> Iterator[StoredEpisode | UserError]:
-        """Read every episode that can be read, of whatever task; of others, what is wrong."""
-        directory = self.directory.episodes_path
-        if not directory.is_dir():
-            return
-        try:
-            reader = EpisodeReader(directory)
-        except UserError as error:
-            yield error
-            yield from _each(self._numbers_of_files(), self._load_unindexed)
-            return
-        with reader:
-            yield from _each(range(len(reader)), reader.load)
-
     def require_own_task(self, stored: StoredEpisode) -> None:
         """Check that an episode has the observations and goals of the run's task.
 
@@ -170,14 +156,30 @@ class RunData(Closing):
         path = self.directory.episodes_path
         return EpisodeReader(path) if path.is_dir() else None
 
-    def _load_unindexed(self, index: int) -> StoredEpisode:
-        path = self.directory.episodes_path / f"episode-{index:06d}.npz"
-        return read_episode(path, index)
 
-    def _numbers_of_files(self) -> list[int]:
-        paths = self.directory.episodes_path.glob("episode-*.npz")
-        numbers = (path.stem.removeprefix("episode-") for path in paths)
-        return sorted(int(number) for number in numbers if number.isdecimal())
+def is_run(path: Path) -> bool:
+    """Whether a folder is that of a run, damaged or not."""
+    directory = RunDirectory(path)
+    return directory.config_path.is_file() or directory.episodes_path.is_dir()
+
+
+def examine_store(directory: Path) -> Iterator[StoredEpisode | UserError]:
+    """Read every episode of a folder that can be read; of others, what is wrong.
+
+    Args:
+        directory: Folder of episodes; one that does not exist holds none.
+    """
+    if not directory.is_dir():
+        return
+    try:
+        reader = EpisodeReader(directory)
+    except UserError as error:
+        yield error
+        paths = {_number(path): path for path in directory.glob("episode-*.npz")}
+        yield from _each(sorted(paths), lambda index: read_episode(paths[index], index))
+        return
+    with reader:
+        yield from _each(range(len(reader)), reader.load)
 
 
 def _each(
@@ -190,7 +192,6 @@ def _each(
             yield error
 
 
-def is_run(path: Path) -> bool:
-    """Whether a folder is that of a run, damaged or not."""
-    directory = RunDirectory(path)
-    return directory.config_path.is_file() or directory.episodes_path.is_dir()
+def _number(path: Path) -> int:
+    digits = path.stem.removeprefix("episode-")
+    return int(digits) if digits.isdecimal() else -1  # no episode has that number

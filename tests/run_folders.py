@@ -1,0 +1,98 @@
+"""Folders of runs, made without training."""
+
+from __future__ import annotations
+
+import datetime
+import functools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from iher_robot.accounts import Account
+from iher_robot.chosen_robot import choose_robot
+from iher_robot.config import dump_config, load_config
+from iher_robot.episode_store import EpisodeStore
+from iher_robot.interface_file import keep_interface
+from iher_robot.learning.episode import Episode
+from iher_robot.ledger import Ledger
+from iher_robot.provenance import write_provenance
+from iher_robot.run_directory import RunDirectory
+from iher_robot.stored_episode import DONE, StoredEpisode
+from tasks import make_task
+
+PERIOD_S = 0.04
+
+
+def make_stored(
+    seed: int,
+    *,
+    task: str = "reach",
+    valid: Sequence[bool] = (True,) * 6,
+    account: Account = "motion",
+    epoch: int = 1,
+    ended: str = DONE,
+    success: bool = False,
+) -> StoredEpisode:
+    """An episode of random numbers, which achieves its goal at the end or never."""
+    rng = np.random.default_rng(seed)
+    made, length = make_task(task), len(valid)
+    observations = rng.normal(size=(length + 1, made.layout.obs_dim))
+    goal = rng.normal(size=made.goal_dim) + 100.0
+    if success:
+        observations[-1, list(made.goal_model.achieved_entries)] = goal
+    elapsed = np.where(valid, 1, rng.integers(1, 4, length))
+    requested = rng.uniform(-1, 1, size=(length, 4)).astype(np.float32)
+    clipped = rng.random(length) < 0.3
+    return StoredEpisode(
+        epoch=epoch,
+        told_source=int(rng.integers(2)),
+        account=account,
+        seed=int(rng.integers(2**32)),
+        entry=1,
+        index=0,
+        ended=ended,
+        seqs=7 + np.cumsum(elapsed),
+        elapsed=elapsed,
+        episode=Episode(
+            observations=observations,
+            actions=np.where(clipped[:, None], requested / 2, requested),
+            requested_actions=requested,
+            valid=np.array(valid, dtype=bool),
+            desired_goal=goal,
+        ),
+    )
+
+
+def make_run(
+    path: Path,
+    episodes: Iterable[StoredEpisode] = (),
+    *,
+    task: str = "reach",
+    robot: str = "fetch-mocap",
+    **settings: object,
+) -> list[StoredEpisode]:
+    """Make the folder of a run that holds these episodes; return them as they are stored."""
+    config = load_config(task, "default", "iher", (), settings, robot)
+    directory = RunDirectory.create(path, dump_config(config))
+    keep_interface(directory.episodes_path, interface(task, robot))
+    now = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
+    origin = {"commit": "c0ffee", "dirty": True, "started": now.isoformat(), "versions": {}}
+    write_provenance(directory.provenance_path, origin)
+    stored = [replace(one, index=index) for index, one in enumerate(episodes)]
+    with Ledger(directory.ledger_path) as ledger, EpisodeStore(directory.episodes_path) as store:
+        for one in stored:
+            with ledger.reserve(one.account, 200) as entry:
+                store.append(one)
+                entry.settle(int(one.elapsed.sum()))
+    return stored
+
+
+@functools.cache
+def interface(task: str, robot: str) -> dict[str, Any]:
+    """What a policy would have to fit, of a robot in simulation."""
+    with choose_robot("mujoco", robot).make_env(task) as env:
+        found = env.policy_interface()
+    return found
