@@ -5,6 +5,7 @@
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine, with medians (bench/throughput.py)
 # make bench-link                     round trips and ticks of a served robot (bench/link.py)
+# make faults                         100 kills of learners, each checked (python -m tests.faults)
 # make clean                          remove the environment, builds and caches; never runs/
 
 TASK ?= push
@@ -18,7 +19,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench bench-link format clean
+.PHONY: train install test check bench bench-link faults format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -42,6 +43,9 @@ bench: .venv/dev
 
 bench-link: .venv/dev
 	$(BIN)/python bench/link.py $(ARGS)
+
+faults: .venv/dev
+	$(BIN)/python -m tests.faults $(ARGS)
 
 format: .venv/dev
 	$(BIN)/ruff format .

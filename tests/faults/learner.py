@@ -1,0 +1,72 @@
+"""A learner in a process group of its own, to be killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from drivers.closing import Closing
+from tests.faults.violation import Violation
+
+
+class Learner(Closing):
+    """One process of a run.
+
+    Attributes:
+        command: How it was started.
+        output: What it printed.
+    """
+
+    def __init__(
+        self, options: Sequence[str], output: Path, environment: Mapping[str, str]
+    ) -> None:
+        self.command = [sys.executable, "-m", "iher_robot", "train", *options]
+        self.output = output
+        with output.open("wb") as file:
+            self._process = subprocess.Popen(
+                self.command,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **environment},
+                start_new_session=True,
+            )
+
+    @property
+    def runs(self) -> bool:
+        return self._process.poll() is None
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Return with which code it ended; None where it did not in time."""
+        try:
+            return self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def kill(self) -> None:
+        """End the whole group without a word; one that has ended already is left as it is."""
+        if self.runs:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait(30.0)
+
+    def printed(self) -> str:
+        return self.output.read_text(errors="replace")
+
+    def require_ending(self, expected: int, *words: str) -> None:
+        """Check how it ended by itself.
+
+        Raises:
+            Violation: With another code, without these words, or with a traceback.
+        """
+        code, printed = self.wait(0.0), self.printed()
+        said = all(word in printed for word in words) and "Traceback" not in printed
+        if code == expected and said:
+            return
+        wanted = f"expected {expected}" + (f" and {words}" if words else "")
+        raise Violation(f"the learner ended with {code}, {wanted}; it printed:\n{printed}")
+
+    def close(self) -> None:
+        self.kill()
