@@ -14,6 +14,7 @@ import typer
 
 from iher_robot import DriverError, TaskError, UserError, __version__
 from iher_robot.cli_certs import certs
+from iher_robot.cli_budget import budget
 from iher_robot.cli_data import data
 from iher_robot.cli_deploy import deploy
 from iher_robot.cli_evaluate import evaluate
@@ -60,6 +61,7 @@ def options(
 for _command in (train, evaluate, view, serve, deploy, doctor, home, stop, clear_fault, certs):
     app.command()(_command)
 app.add_typer(data)
+app.add_typer(budget)
 
 
 @contextmanager

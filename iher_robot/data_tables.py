@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from iher_robot.run_report import EpisodeGroup, EpisodeReport, RunLine, RunReport
+from iher_robot.spending import Spending
 
 _COLUMNS_OF_A_FILE = 240
 _LEFT = {"run", "task", "robot", "algorithm", "robot time", "last change", "account"}
@@ -73,6 +74,22 @@ def episode_table(report: EpisodeReport) -> RenderableType:
             f"{report.distance[tick]:.3f}",
         )
     return Group(Text(report.title), table)
+
+
+def spending_table(spending: Spending) -> RenderableType:
+    """One row for each account, and what is left of the budget."""
+    table = _table("account", "ticks", "robot minutes")
+    for account, ticks in spending.spent_ticks.items():
+        _add(table, account, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
+    left = spending.left_ticks
+    if left is not None and spending.budget_ticks is not None:
+        table.add_section()
+        rows = {"budget of motion": spending.budget_ticks, "left of it": left}
+        if spending.granted_ticks:
+            rows["granted since it began"] = spending.granted_ticks
+        for name, ticks in rows.items():
+            _add(table, name, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
+    return Group(Text(spending.whose), table)
 
 
 def _counts(groups: Iterable[EpisodeGroup]) -> list[str]:

@@ -146,6 +146,21 @@ class StoredEpisode(EpisodeHeader):
         """What was known before its first tick."""
         return EpisodeHeader(self.epoch, self.told_source, self.account, self.seed, self.entry)
 
+    def ticks(self) -> list[RecordedTick]:
+        """Its ticks, as they were recorded."""
+        episode = self.episode
+        return [
+            RecordedTick(
+                observation=episode.observations[tick + 1],
+                action=episode.actions[tick],
+                requested_action=episode.requested_actions[tick],
+                valid=bool(episode.valid[tick]),
+                seq=int(self.seqs[tick]),
+                elapsed=int(self.elapsed[tick]),
+            )
+            for tick in range(len(episode))
+        ]
+
     def pack(self) -> bytes:
         """A sealed archive in NumPy's format, for ``read_episode``."""
         buffer = io.BytesIO()

@@ -46,17 +46,8 @@ def record(store: EpisodeStore, stored: StoredEpisode, count: int | None = None)
     """Run an episode's ticks through the journal, without its end."""
     episode = stored.episode
     store.begin(stored.header, episode.observations[0], episode.desired_goal)
-    for tick in range(len(episode) if count is None else count):
-        store.record(
-            RecordedTick(
-                observation=episode.observations[tick + 1],
-                action=episode.actions[tick],
-                requested_action=episode.requested_actions[tick],
-                valid=bool(episode.valid[tick]),
-                seq=int(stored.seqs[tick]),
-                elapsed=int(stored.elapsed[tick]),
-            )
-        )
+    for tick in stored.ticks()[:count]:
+        store.record(tick)
 
 
 def assert_same(stored: StoredEpisode, expected: StoredEpisode, length: int | None = None) -> None:

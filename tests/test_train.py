@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import json
 import re
 import shutil
 import sys
@@ -32,77 +31,22 @@ from iher_robot.evaluate import evaluate
 from iher_robot.evaluation import Evaluation
 from iher_robot.ledger import Ledger
 from iher_robot.policy_file import load_policy
-from iher_robot.train import TrainResult, resume, train
-
-TINY = (
-    "learner.schedule.cycles=2",
-    "learner.schedule.batches=5",
-    "learner.schedule.dynamics_steps=5",
-    "learner.schedule.policy_copy_cycles=2",
-    "learner.ddpg.batch_size=64",
-    "learner.dynamics.hidden=[32, 32]",
-    "evaluation.episodes=2",
-    "evaluation.final_episodes=2",
+from iher_robot.train import resume, train
+from tests.small_runs import (
+    EPOCH_MINUTES,
+    TINY,
+    Interruption,
+    interruption,
+    metrics,
+    motion_ticks,
+    run,
+    stored_ticks,
 )
-EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
-TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and what follows from them
 
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
     torch.set_num_threads(1)
-
-
-def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
-    return train(
-        task="reach",
-        preset="paper",
-        budget_minutes=minutes,
-        overrides=(*TINY, *overrides),
-        out=out,
-        until_success=options.pop("until_success", None),
-        device="cpu",
-        display=False,
-        **options,
-    )
-
-
-def metrics(out: Path) -> list[dict[str, float]]:
-    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-    return [{k: v for k, v in row.items() if k not in TIMINGS} for row in rows]
-
-
-def motion_ticks(out: Path) -> int:
-    with Ledger(out / "ledger.sqlite") as ledger:
-        return ledger.spent_ticks("motion")
-
-
-def stored_ticks(out: Path) -> int:
-    with EpisodeReader(out / "episodes") as reader:
-        return sum(len(stored.episode) for stored in reader)
-
-
-class Interruption(KeyboardInterrupt):
-    pass
-
-
-@contextmanager
-def interruption(owner: type, name: str, call: int) -> Iterator[None]:
-    """Cut off the given call of a method by a Ctrl-C, which must come through."""
-    original: Callable[..., Any] = getattr(owner, name)
-    calls = 0
-
-    def counted(self: Any, *args: Any, **options: Any) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == call:
-            raise Interruption
-        return original(self, *args, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(owner, name, counted)
-        with pytest.raises(Interruption):
-            yield
 
 
 def test_the_budget_is_spent_to_the_last_tick_and_every_tick_is_kept(tmp_path: Path) -> None:

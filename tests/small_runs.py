@@ -1,0 +1,79 @@
+"""Training runs of seconds, and what they leave."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from iher_robot.accounts import read_accounts
+from iher_robot.episode_store import EpisodeReader
+from iher_robot.train import TrainResult, train
+
+TINY = (
+    "learner.schedule.cycles=2",
+    "learner.schedule.batches=5",
+    "learner.schedule.dynamics_steps=5",
+    "learner.schedule.policy_copy_cycles=2",
+    "learner.ddpg.batch_size=64",
+    "learner.dynamics.hidden=[32, 32]",
+    "evaluation.episodes=2",
+    "evaluation.final_episodes=2",
+)
+EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
+TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and what follows from them
+
+
+def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
+    return train(
+        task="reach",
+        preset="paper",
+        budget_minutes=minutes,
+        overrides=(*TINY, *overrides),
+        out=out,
+        until_success=options.pop("until_success", None),
+        device="cpu",
+        display=False,
+        **options,
+    )
+
+
+def metrics(out: Path) -> list[dict[str, float]]:
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    return [{k: v for k, v in row.items() if k not in TIMINGS} for row in rows]
+
+
+def motion_ticks(out: Path) -> int:
+    return read_accounts(out / "ledger.sqlite").spent["motion"]
+
+
+def stored_ticks(out: Path) -> int:
+    with EpisodeReader(out / "episodes") as reader:
+        return sum(len(stored.episode) for stored in reader)
+
+
+class Interruption(KeyboardInterrupt):
+    pass
+
+
+@contextmanager
+def interruption(owner: type, name: str, call: int) -> Iterator[None]:
+    """Cut off the given call of a method by a Ctrl-C, which must come through."""
+    original: Callable[..., Any] = getattr(owner, name)
+    calls = 0
+
+    def counted(self: Any, *args: Any, **options: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise Interruption
+        return original(self, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, counted)
+        with pytest.raises(Interruption):
+            yield
