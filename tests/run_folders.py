@@ -14,6 +14,7 @@ import numpy as np
 from iher_robot.accounts import Account
 from iher_robot.chosen_robot import choose_robot
 from iher_robot.config import dump_config, load_config
+from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.interface_file import keep_interface
 from iher_robot.learning.episode import Episode
@@ -66,6 +67,24 @@ def make_stored(
     )
 
 
+def record_episode(env: GoalRobotEnv, seed: int, ticks: int = 50) -> StoredEpisode:
+    """Run an episode of random actions, each held for some ticks, on the simulated robot."""
+    rng = np.random.default_rng(seed)
+    start, _ = env.reset(seed=seed)
+    actions = np.repeat(rng.uniform(-1, 1, (-(-ticks // 5), 4)), 5, axis=0)[:ticks]
+    actions = actions.astype(np.float32)
+    after = [env.step(action)[0]["observation"] for action in actions]
+    stored = make_stored(seed, task=env.task.name, valid=(True,) * ticks)
+    episode = replace(
+        stored.episode,
+        observations=np.stack([start["observation"], *after]),
+        actions=actions,
+        requested_actions=actions,
+        desired_goal=start["desired_goal"],
+    )
+    return replace(stored, seed=seed, episode=episode)
+
+
 def make_run(
     path: Path,
     episodes: Iterable[StoredEpisode] = (),
@@ -93,6 +112,4 @@ def make_run(
 @functools.cache
 def interface(task: str, robot: str) -> dict[str, Any]:
     """What a policy would have to fit, of a robot in simulation."""
-    with choose_robot("mujoco", robot).make_env(task) as env:
-        found = env.policy_interface()
-    return found
+    return choose_robot("mujoco", robot).make_env(task).policy_interface()  # it is never opened

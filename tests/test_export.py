@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import subprocess
@@ -23,7 +22,7 @@ from iher_robot.errors import UserError
 from iher_robot.export_minari import ROOT_VARIABLE
 from iher_robot.interface_file import keep_interface
 from iher_robot.stored_episode import StoredEpisode
-from tests.run_folders import interface, make_run, make_stored
+from tests.run_folders import interface, make_run, make_stored, record_episode
 
 minari = pytest.importorskip("minari", reason="comes with the data extra")
 pytest.importorskip("h5py", reason="comes with the data extra")
@@ -158,27 +157,9 @@ print(json.dumps([same, recorded == {name: values.tolist() for name, values in s
 """
 
 
-def run_one_episode(seed: int) -> StoredEpisode:
-    """Push on the simulated robot, by random actions."""
-    template = make_stored(seed, task="push", valid=(True,) * 5)
-    rng = np.random.default_rng(seed)
-    with make_env("push", actuation="mocap") as env:
-        start, _ = env.reset(seed=template.seed)
-        observations = [start["observation"]]
-        actions = rng.uniform(-1, 1, (5, 4)).astype(np.float32)
-        observations += [env.step(action)[0]["observation"] for action in actions]
-    episode = dataclasses.replace(
-        template.episode,
-        observations=np.stack(observations),
-        actions=actions,
-        requested_actions=actions,
-        desired_goal=start["desired_goal"],
-    )
-    return dataclasses.replace(template, episode=episode)
-
-
 def test_a_new_process_loads_the_dataset_and_its_environment(tmp_path: Path) -> None:
-    make_run(tmp_path / "run", [run_one_episode(3)], task="push")
+    with make_env("push", actuation="mocap") as env:
+        make_run(tmp_path / "run", [record_episode(env, seed=3, ticks=5)], task="push")
     export_minari([tmp_path / "run"], dataset="push-v3", root=tmp_path / "datasets")
 
     done = subprocess.run(
