@@ -65,7 +65,9 @@ def show(
     run: RunArgument,
     episode: Annotated[
         int | None,
-        typer.Argument(help="Show this episode, from 0, tick by tick.", show_default=False),
+        typer.Argument(
+            metavar="[EPISODE]", help="Show this one tick by tick, from 0.", show_default=False
+        ),
     ] = None,
 ) -> None:
     """Show what the data of a run are, or one episode."""
