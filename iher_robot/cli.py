@@ -13,8 +13,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from iher_robot import DriverError, TaskError, UserError, __version__
-from iher_robot.cli_certs import certs
 from iher_robot.cli_budget import budget
+from iher_robot.cli_certs import certs
 from iher_robot.cli_data import data
 from iher_robot.cli_deploy import deploy
 from iher_robot.cli_evaluate import evaluate

@@ -25,7 +25,7 @@ RunArgument = Annotated[
     Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)
 ]
 RunsArgument = Annotated[
-    list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.", show_default=False)
+    list[Path], typer.Argument(metavar="RUN", help="Folders of runs.", show_default=False)
 ]
 
 
@@ -41,7 +41,7 @@ def ls(
     folders: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[DIR]...",
+            metavar="DIR",
             help="Runs, or folders of runs; runs by default.",
             show_default=False,
         ),
@@ -66,7 +66,7 @@ def show(
     episode: Annotated[
         int | None,
         typer.Argument(
-            metavar="[EPISODE]", help="Show this one tick by tick, from 0.", show_default=False
+            metavar="EPISODE", help="Show this one tick by tick, from 0.", show_default=False
         ),
     ] = None,
 ) -> None:

@@ -80,8 +80,7 @@ def write_minari(
             "end, such as push-v0 or iher/push-v0"
         )
     path = _root(root) / dataset
-    if path.exists() and not overwrite:
-        raise UserError(f"{path} is there already; choose another --dataset, or say --overwrite")
+    _require_place(path, overwrite=overwrite)
     _require_packages()
     from minari.dataset.minari_storage import MinariStorage
 
@@ -102,6 +101,15 @@ def write_minari(
         storage.update_episode_metadata(cut.metadata)
         ticks = storage.total_steps
     return MinariResult(dataset, root, len(cut.metadata), ticks, cut.left_out_ticks)
+
+
+def _require_place(path: Path, *, overwrite: bool) -> None:
+    if not path.exists():
+        return
+    if not (path / "data" / "metadata.json").is_file():
+        raise UserError(f"{path} is there, and no dataset of Minari; choose another --dataset")
+    if not overwrite:
+        raise UserError(f"{path} is there already; choose another --dataset, or say --overwrite")
 
 
 def _root(root: Path | None) -> Path:

@@ -107,7 +107,7 @@ def test_exports_say_what_they_wrote(run: Run) -> None:
         ("show absent", ["no run at absent"]),
         ("show runs", ["no run at runs"]),
         ("show runs/[one] 2", ["episode is 2", "0 to 1"]),
-        ("show runs/[one] two", ["'episode'", "integer"]),
+        ("show runs/[one] two", ["EPISODE", "integer"]),
         ("verify", ["RUN"]),
         ("verify runs/[one] absent", ["no run at absent"]),
         ("export runs/[one]", ["--format"]),

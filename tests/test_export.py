@@ -297,6 +297,16 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(tmp_path: Path) -> 
     assert load(tmp_path, "b-v0").total_episodes == 2
 
 
+def test_what_is_no_dataset_is_never_replaced(tmp_path: Path) -> None:
+    make_run(tmp_path / "run", [make_stored(0)])
+    (tmp_path / "b-v0").mkdir()
+    (tmp_path / "b-v0" / "thesis.tex").touch()
+
+    with pytest.raises(UserError, match="b-v0 is there, and no dataset"):
+        export_minari([tmp_path / "run"], dataset="b-v0", root=tmp_path, overwrite=True)
+    assert (tmp_path / "b-v0" / "thesis.tex").exists()
+
+
 def test_no_valid_tick_is_no_dataset(tmp_path: Path) -> None:
     make_run(tmp_path / "run", [make_stored(0, valid=(False, False))])
 
