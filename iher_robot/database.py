@@ -59,6 +59,8 @@ class Database(Closing):
                 timeout=5.0 if read_only else 0.0,
                 isolation_level=None,
             )
+        # A damaged text shows by its digest, and not by an error of its encoding.
+        self._connection.text_factory = lambda text: text.decode(errors="replace")
         try:
             with self._explained("open"):
                 self._check(read_only)
@@ -148,7 +150,7 @@ class Database(Closing):
             yield
         except sqlite3.IntegrityError:
             raise
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in SQLite's own messages
             primary = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
             if primary == sqlite3.SQLITE_FULL:
                 raise UserError(f"cannot {doing} {self.path}: No space left on device") from error
