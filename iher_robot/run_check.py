@@ -55,7 +55,15 @@ def check_run(run: RunData) -> Verification:
     configured = not problems
     with _noted(problems):
         run.directory.check_config()
+    # A run that goes on charges an episode, stores it, and then tells of it: read last to first.
+    told = 0
+    with _noted(problems):
+        told = _episodes_told(run)
+    before = len(problems)
     stored = list(_whole_episodes(run.directory.episodes_path, problems))
+    if len(problems) == before:
+        with _noted(problems):
+            _check_told(run, told, stored)
     earlier = list(_whole_episodes(run.directory.warm_start_path, problems))
     if configured:
         for one in stored + earlier:
@@ -63,18 +71,15 @@ def check_run(run: RunData) -> Verification:
                 run.require_own_task(one)
         with _noted(problems):
             _ = run.robot
-    # After the episodes: a run that goes on charges a tick before it stores it.
     with _noted(problems):
         _check_ledger(run, stored)
     with _noted(problems):
         _ = run.provenance
-    with _noted(problems):
-        _check_metrics(run, stored)
     for path in (run.directory.policy_path, run.directory.checkpoint_path):
         with _noted(problems):
             _check_seal(path)
     ticks = sum(len(one.episode) for one in stored + earlier)
-    return Verification(len(stored) + len(earlier), ticks, tuple(problems))
+    return Verification(len(stored) + len(earlier), ticks, tuple(dict.fromkeys(problems)))
 
 
 @contextmanager
@@ -99,23 +104,30 @@ def _check_ledger(run: RunData, stored: Iterable[StoredEpisode]) -> None:
         charged[one.account] += int(one.elapsed.sum())
     if not charged and not run.directory.ledger_path.exists():
         return  # the run has not begun
+    found = run.spent_ticks
     for account, ticks in charged.items():
-        spent = run.spent_ticks[account]
-        if spent < ticks:
+        if found[account] < ticks:
             raise UserError(
-                f"{run.directory.ledger_path} counts {spent} ticks of {account}, and {ticks} are "
-                "stored; put the ledger back that belongs to the episodes"
+                f"{run.directory.ledger_path} counts {found[account]} ticks of {account}, and "
+                f"{ticks} are stored; put the ledger back that belongs to the episodes"
             )
 
 
-def _check_metrics(run: RunData, stored: Iterable[StoredEpisode]) -> None:
+def _episodes_told(run: RunData) -> int:
+    """Episodes of motion that the metrics tell of."""
     rows = run.directory.read_metrics()
     told = rows[-1].get("episodes", 0) if rows else 0
+    if not isinstance(told, int):
+        raise UserError(f"{run.directory.metrics_path} is damaged: episodes is {told!r}")
+    return told
+
+
+def _check_told(run: RunData, told: int, stored: Iterable[StoredEpisode]) -> None:
     collected = sum(one.account == "motion" for one in stored)
-    if not isinstance(told, int | float) or told > collected:
+    if told > collected:
         raise UserError(
             f"{run.directory.metrics_path} tells of {told} episodes of motion, and {collected} are "
-            "stored and whole"
+            "stored; put the episodes and their index back that belong to it"
         )
 
 

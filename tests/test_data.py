@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from iher_robot import run_check
 from iher_robot.data import ls, show, show_episode, verify
 from iher_robot.durable_file import seal_zip
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.ledger import Ledger
+from iher_robot.run_data import examine_store
 from iher_robot.run_directory import RunDirectory
 from iher_robot.stored_episode import RecordedTick, StoredEpisode
 from tests.run_folders import PERIOD_S, make_run, make_stored
@@ -251,6 +253,7 @@ def test_damage_is_found_and_its_file_named(
     assert any(file in problem for problem in found.problems)
     assert all(str(run) in problem and "\n" not in problem for problem in found.problems)
     assert found.episodes == whole
+    assert len(found.problems) == len(set(found.problems))
 
 
 @pytest.mark.parametrize("damage", [lose_episode, damage_index, lose_config, lose_ledger])
@@ -297,6 +300,20 @@ def test_a_run_that_goes_on_can_be_read(run: Path) -> None:
     assert (before.problem, before.episodes) == ("", 4)
     assert (after.problem, after.episodes) == ("", 5)
     assert after.last_change >= before.last_change
+
+
+def test_an_episode_that_is_told_of_only_while_it_is_checked_is_no_damage(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def then_goes_on(folder: Path) -> Iterator[StoredEpisode | UserError]:
+        yield from examine_store(folder)
+        RunDirectory(run).append_metrics({"epoch": 9, "episodes": 4})
+
+    RunDirectory(run).append_metrics({"epoch": 8, "episodes": 3})
+    monkeypatch.setattr(run_check, "examine_store", then_goes_on)
+    assert verify([run]).problems == ()
+    monkeypatch.undo()
+    assert len(verify([run]).problems) == 1
 
 
 def test_nothing_is_checked_where_one_is_no_run(run: Path) -> None:
