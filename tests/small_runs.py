@@ -29,9 +29,8 @@ TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and what follows f
 
 
 def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
+    options = {"task": "reach", "preset": "paper"} | options
     return train(
-        task="reach",
-        preset="paper",
         budget_minutes=minutes,
         overrides=(*TINY, *overrides),
         out=out,

@@ -67,10 +67,31 @@ def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(tmp_pa
         assert ledger.spent_ticks("evaluation") == 0
 
 
-def test_a_run_interrupted_between_epochs_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    run(tmp_path / "whole", 3 * EPOCH_MINUTES)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"overrides": ["learner.imagination.regenerate=false"]},
+        {"overrides": ["learner.imagination.branch_ticks=3"]},
+        {"algo": "her"},
+        {
+            "task": "push",
+            "preset": "default",
+            "overrides": [
+                "learner.schedule.real_rollouts=2",
+                "learner.schedule.updates_per_step=0.1",
+                "evaluation.every_epochs=1",
+            ],
+        },
+    ],
+)
+def test_a_run_interrupted_between_epochs_ends_as_one_that_was_not(
+    tmp_path: Path, settings: dict[str, Any]
+) -> None:
+    overrides = settings.pop("overrides", [])
+    run(tmp_path / "whole", 3 * EPOCH_MINUTES, *overrides, **settings)
     with interruption(TrainingDisplay, "epoch", call=2):
-        run(tmp_path / "parts", 3 * EPOCH_MINUTES)
+        run(tmp_path / "parts", 3 * EPOCH_MINUTES, *overrides, **settings)
     assert len(metrics(tmp_path / "parts")) == 2
     resume(tmp_path / "parts", display=False)
     assert metrics(tmp_path / "parts") == metrics(tmp_path / "whole")

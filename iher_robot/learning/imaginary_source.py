@@ -74,8 +74,9 @@ class ImaginarySource:
         return self.config.schedule.cycles * self.config.schedule.imaginary_episodes
 
     def keep_copy(self, policy: Policy, cycle: int) -> None:
-        """Keep a copy of the policy as it is after that many cycles."""
-        self.policy_copies.append((cycle, policy.snapshot()))
+        """Keep a copy of the policy as it is after that many cycles, where a refill asks for it."""
+        if not self._branches:
+            self.policy_copies.append((cycle, policy.snapshot()))
 
     def imagine_cycle(
         self, ensemble: DynamicsEnsemble, policy: Policy, *, epoch: int
@@ -269,16 +270,21 @@ class ImaginarySource:
         return torch.as_tensor(goals, dtype=torch.float32, device=self.device)
 
     def state_dict(self) -> dict[str, Any]:
-        """Counters and policy copies; the imagined data are refilled, never stored."""
-        return {
+        """Counters and policy copies; and the imagined data, unless each epoch makes them anew."""
+        state = {
             "collected": self.collected,
             "level": self.level,
             "policy_copies": list(self.policy_copies),
         }
+        if not self.config.imagination.regenerate:
+            state["replay"] = self.replay.state_dict()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; ``refill`` brings the data back."""
+        """Restore what ``state_dict`` returned; ``refill`` brings data back that it has not."""
         self.replay.clear()
+        if "replay" in state:
+            self.replay.load_state_dict(state["replay"])
         self.collected = state["collected"]
         self.level = state["level"]
         self.policy_copies.clear()

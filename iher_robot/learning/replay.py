@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -10,6 +11,16 @@ from iher_robot.learning.goal_model import GoalModel, Shapes
 
 BLOCK = 40
 """Updates whose batches are drawn together: it costs little more than to draw one."""
+_STORED = (
+    "observations",
+    "actions",
+    "requested",
+    "goals",
+    "intrinsic",
+    "lengths",
+    "epochs",
+    "weights",
+)
 
 
 @dataclass(frozen=True)
@@ -266,6 +277,21 @@ class EpisodeReplay:
             intrinsic=self._intrinsic[episode, tick],
             source=torch.full((count,), self.source, device=device),
         )
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that is stored, as tensors."""
+        stored = {name: getattr(self, f"_{name}")[: self.num_episodes] for name in _STORED}
+        # Clones: a view would be saved with all of its capacity.
+        state = {name: tensor.clone().cpu() for name, tensor in stored.items()}
+        return state | {"next_slot": self._next_slot}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Replace what is stored by what ``state_dict`` returned."""
+        self.num_episodes = len(state["lengths"])
+        for name in _STORED:
+            getattr(self, f"_{name}")[: self.num_episodes] = state[name]
+        self._next_slot = state["next_slot"]
+        self._cumulative = None
 
     def every_step(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Slot and tick of every stored transition, in order. ``(transitions,)`` each"""

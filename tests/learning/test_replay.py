@@ -234,3 +234,29 @@ def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
     else:
         assert (share == 0).all()
     assert torch.equal(stored(replay)[1][:5], applied[0, :5])
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 4), lengths_strategy, st.booleans())
+def test_a_replay_that_is_restored_draws_and_forgets_as_the_first(
+    capacity: int, lengths: list[int], between: bool
+) -> None:
+    first, second = (
+        EpisodeReplay(SHAPES, capacity=capacity * TICKS, source=REAL, device=CPU, between=between)
+        for _ in range(2)
+    )
+    for number, length in enumerate(lengths):
+        store(first, [marked_episode(number, length)])
+    state = first.state_dict()
+    held = sum(tensor.untyped_storage().nbytes() for tensor in list(state.values())[:-1])
+    requested = SHAPES.action_dim if between else 0
+    floats = (TICKS + 1) * SHAPES.obs_dim + TICKS * (SHAPES.action_dim + requested + 1)
+    assert held == first.num_episodes * (4 * (floats + SHAPES.goal_dim) + 3 * 8)
+
+    second.load_state_dict(state)
+
+    store(first, [marked_episode(99, 1)])
+    store(second, [marked_episode(99, 1)])
+    one, two = sample(first, 64, 0.5), sample(second, 64, 0.5)
+    for name in Transitions.__dataclass_fields__:
+        assert torch.equal(getattr(one, name), getattr(two, name)), name
