@@ -20,6 +20,7 @@ from iher_robot.errors import UserError
 from iher_robot.export_selection import NEEDED, Selection
 from iher_robot.minari_episodes import MinariEpisodes
 from iher_robot.registration import ENV_IDS
+from iher_robot.run_report import counted
 from iher_robot.whole_folder import write_folder
 
 if TYPE_CHECKING:
@@ -53,8 +54,8 @@ class MinariResult:
         """The result in two lines."""
         variable = "" if self.root is None else f", with {ROOT_VARIABLE}={self.root.absolute()}"
         return (
-            f"{self.episodes} episodes, {self.ticks} ticks, {self.left_out_ticks} that are not "
-            f"valid left out: {self.dataset}\n"
+            f"{counted(self.episodes, 'episode')}, {counted(self.ticks, 'tick')} (without "
+            f"{self.left_out_ticks} that are not valid): {self.dataset}\n"
             f"load    minari.load_dataset({self.dataset!r}){variable}"
         )
 

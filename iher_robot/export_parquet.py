@@ -20,6 +20,7 @@ from iher_robot.durable_file import write_atomically
 from iher_robot.episode_outcome import achieved_goals, reached, rewards
 from iher_robot.errors import UserError
 from iher_robot.export_selection import NEEDED, Selection
+from iher_robot.run_report import counted
 from iher_robot.stored_episode import StoredEpisode
 from tasks import GoalModel
 
@@ -51,8 +52,8 @@ class ParquetResult:
     def summary(self) -> str:
         """The result in one line."""
         return (
-            f"{self.episodes} episodes, {self.ticks} ticks, {self.invalid_ticks} of them not "
-            f"valid: {self.path}"
+            f"{counted(self.episodes, 'episode')}, {counted(self.ticks, 'tick')} "
+            f"({self.invalid_ticks} of them not valid): {self.path}"
         )
 
 

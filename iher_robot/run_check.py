@@ -12,6 +12,7 @@ from iher_robot.accounts import Account
 from iher_robot.durable_file import check_seal, read_file
 from iher_robot.errors import UserError
 from iher_robot.run_data import RunData, examine_store
+from iher_robot.run_report import counted
 from iher_robot.stored_episode import StoredEpisode
 
 
@@ -38,8 +39,8 @@ class Verification:
 
     def summary(self) -> str:
         """Each problem, and what all of it comes to in a last line."""
-        found = _counted(len(self.problems), "problem") if self.problems else "all whole"
-        total = f"{_counted(self.episodes, 'episode')}, {_counted(self.ticks, 'tick')}: {found}"
+        found = counted(len(self.problems), "problem") if self.problems else "all whole"
+        total = f"{counted(self.episodes, 'episode')}, {counted(self.ticks, 'tick')}: {found}"
         return "\n".join([*self.problems, total])
 
 
@@ -135,7 +136,3 @@ def _check_seal(path: Path) -> None:
     if path.exists():
         kind = f"{path.stem} file"
         check_seal(read_file(path, kind), path, kind)
-
-
-def _counted(count: int, name: str) -> str:
-    return f"{count} {name}{'' if count == 1 else 's'}"

@@ -193,6 +193,11 @@ def goal_entry(model: GoalModel) -> str:
     return next(name for name in layout.names if layout.entries(name) == model.achieved_entries)
 
 
+def counted(count: int, name: str) -> str:
+    """A number of things in words, such as ``"1 episode"`` or ``"12 ticks"``."""
+    return f"{count} {name}{'' if count == 1 else 's'}"
+
+
 def _robot_time(run: RunData, stored: Iterable[StoredEpisode]) -> str:
     if run.robot is None:
         return ""

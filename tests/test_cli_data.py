@@ -89,7 +89,7 @@ def test_verify_exits_with_1_if_something_is_damaged(run: Run) -> None:
 def test_exports_say_what_they_wrote(run: Run) -> None:
     pytest.importorskip("minari", reason="comes with the data extra")
     code, out, _ = run("export runs/[one] --format parquet --out out.parquet")
-    assert (code, out) == (0, "2 episodes, 12 ticks, 0 of them not valid: out.parquet\n")
+    assert (code, out) == (0, "2 episodes, 12 ticks (0 of them not valid): out.parquet\n")
     assert Path("out.parquet").stat().st_size
 
     code, out, _ = run("export runs/[one] --format minari --dataset a/b-v0 --root data")
