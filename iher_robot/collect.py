@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from iher_robot.env import EpisodeAborted, GoalRobotEnv, Observation
+from iher_robot.env import EpisodeAborted, GoalRobotEnv, Info, Observation
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.goal_model import IMAGINED, REAL
@@ -67,7 +67,7 @@ class Recorder:
         """Take the observation of a reset."""
         self._start = observation
 
-    def step(self, env: GoalRobotEnv, action: Array) -> Observation:
+    def step(self, env: GoalRobotEnv, action: Array) -> tuple[Observation, Info]:
         """Step the robot by one control tick and record it.
 
         Args:
@@ -75,7 +75,7 @@ class Recorder:
             action: What the policy asks for, in [-1, 1]. ``(action_dim,)``
 
         Returns:
-            The next observation.
+            The next observation, and what the environment reported of the tick.
 
         Raises:
             EpisodeAborted: The robot cannot go on; the tick is charged nevertheless.
@@ -100,7 +100,7 @@ class Recorder:
             )
         )
         self.success = bool(info["is_success"])
-        return observation
+        return observation, info
 
     def episode(self) -> Episode | None:
         """The ticks recorded whole, as an episode; None before the first."""
@@ -166,7 +166,7 @@ def run_episode(
             action = choose_action(policy, observation, recorder.told_source)
             if explorer is not None:
                 action = explorer.act(_row(observation["observation"]), action, generator)
-            observation = recorder.step(env, action[0].numpy())
+            observation, _ = recorder.step(env, action[0].numpy())
     except EpisodeAborted as error:
         recorder.success = False  # what was recorded until then is kept, and learned from
         recorder.aborted = str(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -51,10 +52,9 @@ class Database(Closing):
         self._form = form
         if read_only and not path.is_file():
             raise UserError(f"there is no {form.kind} at {path}")
-        mode = "ro" if read_only else "rwc"
         with self._explained("open"):
             self._connection = sqlite3.connect(
-                f"{path.resolve().as_uri()}?mode={mode}",
+                f"{path.resolve().as_uri()}?{_mode(path, read_only)}",
                 uri=True,
                 timeout=5.0 if read_only else 0.0,
                 isolation_level=None,
@@ -158,6 +158,14 @@ class Database(Closing):
                 kind = self._form.kind
                 raise UserError(f"{self.path} is no {kind}, or damaged: {error}") from error
             raise UserError(f"cannot {doing} {self.path}: {error}") from error
+
+
+def _mode(path: Path, read_only: bool) -> str:
+    if not read_only:
+        return "mode=rwc"
+    logged = path.with_name(f"{path.name}-wal").exists()
+    # To read beside a writer takes a file of shared memory, which one may not be allowed to make.
+    return "mode=ro" if logged or os.access(path.parent, os.W_OK) else "immutable=1"
 
 
 def row_seal(*values: Any) -> bytes:

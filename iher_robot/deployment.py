@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers import DriverError
+from drivers.closing import Closing
 from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.collect import Stream, episode_seed
 from iher_robot.deployment_episode import run_deployed_episode
@@ -23,9 +25,54 @@ from iher_robot.deployment_log import (
 from iher_robot.deployment_operator import Operator
 from iher_robot.deployment_plan import DeploymentPlan, deployed_ticks, fault_sentence
 from iher_robot.env import GoalRobotEnv
+from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
+from iher_robot.idle_meter import IdleMeter
+from iher_robot.interface_file import keep_interface
+from iher_robot.kept_recorder import KeptRecorder
+from iher_robot.ledger import Ledger
 from iher_robot.policy_fit import Actor
 from iher_robot.provenance import collect_provenance
+from iher_robot.stored_episode import EpisodeHeader
+
+
+class KeptEpisodes(Closing):
+    """Data and accounts of a deployment, in its folder, as a run has them.
+
+    Args:
+        path: The folder.
+        env: The robot.
+    """
+
+    def __init__(self, path: Path, env: GoalRobotEnv) -> None:
+        directory = path / "episodes"
+        keep_interface(directory, env.policy_interface())
+        self._env = env
+        self._ledger = Ledger(path / "ledger.sqlite")
+        self._store = EpisodeStore(directory, durable_ticks=True)
+        self.idle = IdleMeter(env.driver, self._ledger)
+
+    def recorder(self, seed: int, ticks: int) -> KeptRecorder:
+        """What keeps and counts the ticks of the next episode.
+
+        Args:
+            seed: Decides start and goal.
+            ticks: Most ticks that it will have.
+        """
+        self.idle.end()
+        return KeptRecorder(
+            self._env,
+            self._store,
+            partial(self._ledger.reserve, "deployment", ticks),
+            self._ledger,
+            lambda told, entry: EpisodeHeader(0, told, "deployment", seed, entry),
+        )
+
+    def close(self) -> None:
+        """Write down what is open; closing twice does nothing."""
+        self.idle.end()
+        self._store.close()
+        self._ledger.close()
 
 
 @dataclass
@@ -103,10 +150,16 @@ class Deployment:
         """
         path = out or default_deployment_path(self.actor.task.name)
         ticks = deployed_ticks(env.episode_ticks, self.speed)
-        with DeploymentLog.create(path, self._header(env, plan)) as self.log:
+        with ExitStack() as stack:
+            self.log = stack.enter_context(DeploymentLog.create(path, self._header(env, plan)))
+            kept = stack.enter_context(KeptEpisodes(path, env))
             for index in range(self.episodes):
                 seed = episode_seed(self.seed, Stream.FINAL_EVALUATION, index)
-                record = run_deployed_episode(env, self.actor, self.log, seed=seed, ticks=ticks)
+                recorder = kept.recorder(seed, ticks)
+                record = run_deployed_episode(
+                    env, self.actor, self.log, recorder, seed=seed, ticks=ticks
+                )
+                kept.idle.begin()
                 self._judge(record)
                 fault = fault_sentence(env.driver)
                 if fault is not None:

@@ -12,6 +12,7 @@ from iher_robot.deployment_log import DeploymentLog, EpisodeRecord
 from iher_robot.env import EpisodeAborted, GoalRobotEnv, Observation
 from iher_robot.errors import describe
 from iher_robot.homing import require_home
+from iher_robot.kept_recorder import KeptRecorder
 from iher_robot.learning.goal_model import REAL
 from iher_robot.policy_fit import Actor
 from iher_robot.stored_episode import DONE
@@ -38,7 +39,13 @@ _UNKNOWN_OUTCOME = dict.fromkeys(
 
 
 def run_deployed_episode(
-    env: GoalRobotEnv, actor: Actor, log: DeploymentLog, *, seed: int, ticks: int
+    env: GoalRobotEnv,
+    actor: Actor,
+    log: DeploymentLog,
+    recorder: KeptRecorder,
+    *,
+    seed: int,
+    ticks: int,
 ) -> EpisodeRecord:
     """Run one episode without noise; the robot is left held and disarmed however it ends.
 
@@ -46,6 +53,7 @@ def run_deployed_episode(
         env: The robot, open.
         actor: The policy.
         log: Takes every tick, the one in flight included.
+        recorder: Keeps and counts every tick.
         seed: Decides start and goal.
         ticks: Most ticks to run.
 
@@ -59,25 +67,27 @@ def run_deployed_episode(
     record = log.begin_episode(seed)
     success = False
     lost: DriverError | None = None
-    try:
-        observation, _ = env.reset(seed=seed)
-        assert env.state is not None
-        require_home(env.robot_spec, env.state)
-        while record.ticks < ticks:
-            observation, success = _run_tick(env, actor, log, record, observation)
-        record.ended = DONE
-        record.success = record.task_success = success
-    except EpisodeAborted as error:
-        record.ended = str(error)
-        record.ticks += error.ticks - 1
-        if isinstance(error.__cause__, DriverError):  # the link or the lease, and not the episode
-            lost = error.__cause__
-    except BaseException as error:
-        record.ended = describe(error)
-        raise
-    finally:
-        env.hold()
-        log.sync()
+    with recorder:
+        try:
+            observation, _ = env.reset(seed=seed)
+            assert env.state is not None
+            require_home(env.robot_spec, env.state)
+            recorder.start(observation)
+            while recorder.ticks < ticks:
+                observation, success = _run_tick(env, actor, log, record, recorder, observation)
+            record.ended = DONE
+            record.success = record.task_success = success
+        except EpisodeAborted as error:
+            record.ended = recorder.aborted = str(error)
+            if isinstance(error.__cause__, DriverError):  # the link or the lease, not the episode
+                lost = error.__cause__
+        except BaseException as error:
+            record.ended = describe(error)
+            raise
+        finally:
+            env.hold()
+            record.ticks = recorder.ticks
+            log.sync()
     if lost is not None:
         raise lost
     return record
@@ -88,15 +98,15 @@ def _run_tick(
     actor: Actor,
     log: DeploymentLog,
     record: EpisodeRecord,
+    recorder: KeptRecorder,
     observation: Observation,
 ) -> tuple[Observation, bool]:
     begun = time.perf_counter()
     action = choose_action(actor.policy, observation, REAL)[0].numpy()
     chosen = time.perf_counter()
-    record.ticks += 1
     line: dict[str, Any] = {
         "episode": record.episode,
-        "tick": record.ticks,
+        "tick": recorder.ticks + 1,
         "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "requested": action,
         "observation": observation["observation"],
@@ -105,9 +115,8 @@ def _run_tick(
         **_UNKNOWN_OUTCOME,
     }
     try:
-        after, _, _, _, info = env.step(action)
+        after, info = recorder.step(env, action)
         line["step_ms"] = 1e3 * (time.perf_counter() - chosen)
-        record.ticks += info["ticks"] - 1  # ticks that passed unseen are charged as well
         line |= _outcome(after, info, env.state)
     except BaseException as error:
         line["error"] = describe(error)

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import math
-import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 
 from drivers import DriverError, FaultLatched, LeaseRefused, LinkLost, StaleState
 from drivers.closing import Closing
 from iher_robot.accounts import Account
 from iher_robot.collect import Recorder, run_episode
-from iher_robot.env import GoalRobotEnv, Observation
+from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeStore
-from iher_robot.errors import describe
 from iher_robot.idle_meter import IdleMeter
+from iher_robot.kept_recorder import KeptRecorder
 from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Entry, Ledger
 from iher_robot.patience import Patience
-from iher_robot.stored_episode import DONE, EpisodeHeader, RecordedTick
-
-RESET_AHEAD_S = 120.0
-"""Robot time that is written down before a reset: nobody knows how long it will take."""
+from iher_robot.stored_episode import EpisodeHeader
 
 
 class RobotEpisodes(Closing):
@@ -75,13 +70,12 @@ class RobotEpisodes(Closing):
         """
         while True:
             self._idle.end()
-            with ExitStack() as stack:
-                recorder = stack.enter_context(self._recorder(account, reserve, epoch, seed))
+            lost = None
+            with self._recorder(account, reserve, epoch, seed) as recorder:
                 try:
                     run_episode(
                         self._env, policy, recorder, seed=seed, ticks=ticks, explorer=explorer
                     )
-                    lost = None
                 except DriverError as error:
                     if recorder.ticks or not self._may_come_back(error):
                         raise
@@ -120,71 +114,3 @@ class RobotEpisodes(Closing):
         if isinstance(error, FaultLatched):  # of a robot of this process alone, nobody clears it
             return self._env.driver.exclusive or self._env.robot_spec.physical
         return isinstance(error, LinkLost | LeaseRefused | StaleState)
-
-
-class KeptRecorder(Recorder):
-    """Writes every tick down: that it begins before it does, and what became of it after.
-
-    A ``with`` block around the episode seals it and settles its account, whatever ends it.
-
-    Args:
-        env: The robot.
-        store: Keeps the ticks.
-        reserve: Reserves them.
-        ledger: Accounts of the run.
-        header: Makes the header from the source that the policy is told and the reservation.
-    """
-
-    def __init__(
-        self,
-        env: GoalRobotEnv,
-        store: EpisodeStore,
-        reserve: Callable[[], AbstractContextManager[Entry]],
-        ledger: Ledger,
-        header: Callable[[int, int], EpisodeHeader],
-    ) -> None:
-        super().__init__()
-        self._driver = env.driver
-        self._period_ns = env.robot_spec.control_period_ns
-        self._store = store
-        self._reserve = reserve
-        self._ledger = ledger
-        self._header = header
-        self._stack = ExitStack()
-
-    def __enter__(self) -> KeptRecorder:
-        self._entry = self._stack.enter_context(self._reserve())
-        self._entry.begin(0)
-        ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
-        self._reset: Entry | None = self._stack.enter_context(self._ledger.reserve("reset", ahead))
-        self._reset_begun_ns = self._driver.now_ns
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with self._stack:
-            self._settle_reset()
-            error = sys.exception()
-            self._store.seal(self.aborted or (DONE if error is None else describe(error)))
-            self._entry.settle(self.ticks)  # last: a failure before it leaves what had begun
-
-    def start(self, observation: Observation) -> None:
-        """Take the observation of a reset."""
-        super().start(observation)
-        self._settle_reset()
-        header = self._header(self.told_source, self._entry.number)
-        self._store.begin(header, observation["observation"], observation["desired_goal"])
-
-    def _charge(self, ticks: int) -> None:
-        if ticks:
-            self._entry.begin(self.ticks + ticks)
-        super()._charge(ticks)
-
-    def _record(self, tick: RecordedTick) -> None:
-        super()._record(tick)
-        self._store.record(tick)
-
-    def _settle_reset(self) -> None:
-        if self._reset is not None:
-            elapsed_ns = self._driver.now_ns - self._reset_begun_ns
-            self._reset.settle(-(-elapsed_ns // self._period_ns))
-            self._reset = None

@@ -21,13 +21,16 @@ import iher_robot.deploy
 import iher_robot.deployment_episode
 import iher_robot.env
 from drivers import LinkLost, ResetOutcome, ResetRequest, ResetResult, RobotSpec
+from iher_robot.accounts import read_accounts
 from iher_robot.chosen_robot import choose_own_robot, choose_robot
 from iher_robot.collect import choose_action
 from iher_robot.deploy import DeployResult, deploy
 from iher_robot.deployment_log import DeploymentLog
 from iher_robot.deployment_operator import Operator
 from iher_robot.env import GoalRobotEnv
+from iher_robot.episode_store import EpisodeReader
 from iher_robot.errors import UserError
+from iher_robot.interface_file import read_interface
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
@@ -339,6 +342,24 @@ def test_the_folder_says_what_ran_and_how_it_ended(policy: Path, robot: Robot) -
     assert found["episodes"] == [dataclasses.asdict(record) for record in result.episodes]
     assert [episode["ended"] for episode in found["episodes"]] == ["done", "done"]
     assert f"log     {OUT}: done, 2 episodes, 100 ticks" in result.summary()
+
+
+def test_real_ticks_of_a_deployment_are_kept_and_counted_as_those_of_a_run(
+    policy: Path, robot: Robot
+) -> None:
+    robot.fail_at(TICKS + 8, LinkLost("gone"))
+    with pytest.raises(UserError, match="gone"):
+        deploy(policy, episodes=3, speed=1.0, yes=True, out=OUT)
+    assert read_accounts(OUT / "ledger.sqlite").spent["deployment"] == TICKS + 8
+    with EpisodeReader(OUT / "episodes") as reader:
+        stored = list(reader)
+    assert [len(episode.episode) for episode in stored] == [TICKS, 7]
+    assert [episode.account for episode in stored] == ["deployment"] * 2
+    assert stored[0].ended == "done"
+    assert "gone" in stored[1].ended
+    seqs = [int(seq) for episode in stored for seq in episode.seqs]
+    assert seqs == [seq for seq, _ in robot.seen]
+    assert read_interface(OUT / "episodes")["task"] == "push"
 
 
 def test_folders_are_named_by_time_and_task(policy: Path, robot: Robot) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 import subprocess
 import sys
@@ -106,6 +107,15 @@ def test_a_ledger_can_be_read_while_a_run_writes_it(path: Path) -> None:
         assert ledger.spent_ticks("motion") == 50
     with pytest.raises(UserError, match="there is no ledger at"):
         read_accounts(path.with_name("absent.sqlite"))
+
+
+def test_a_ledger_of_somebody_else_can_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Ledger(path) as ledger, ledger.reserve("motion", 5) as entry:
+        entry.settle(4)
+    before = sorted(each.name for each in path.parent.iterdir())
+    monkeypatch.setattr(os, "access", lambda *_: False)  # as root, no permission bits refuse
+    assert read_accounts(path).spent["motion"] == 4
+    assert sorted(each.name for each in path.parent.iterdir()) == before
 
 
 def test_a_ledger_that_lost_its_newest_entries_is_named(path: Path) -> None:
