@@ -11,7 +11,7 @@ from torch import nn
 
 from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.networks import mlp
+from iher_robot.learning.networks import in_blocks, mlp
 from iher_robot.learning.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, choose_maps
@@ -156,7 +156,7 @@ class DynamicsEnsemble:
             ``(members, batch, obs_dim)``
         """
         inputs = self._inputs(observation, action)
-        return torch.stack([member(inputs) for member in self.members])
+        return torch.stack([in_blocks(member, inputs) for member in self.members])
 
     def next_observation(
         self, observation: torch.Tensor, normalized_delta: torch.Tensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -150,7 +150,7 @@ class Learner:
             between=self.config.replay.actions == "between",
         )
 
-    def _store_real(self, episodes: Sequence[Episode], epoch: int) -> list[Episode]:
+    def _store_real(self, episodes: Iterable[Episode], epoch: int) -> list[Episode]:
         segments = [segment for episode in episodes for segment in episode.segments()]
         self._add(segments, self.real, epoch)
         self.fresh = sum(len(segment) for segment in segments)
@@ -317,13 +317,14 @@ class Learner:
         return state
 
     def load_state_dict(
-        self, state: dict[str, Any], episodes_by_epoch: Sequence[Sequence[Episode]]
+        self, state: dict[str, Any], episodes_by_epoch: Iterable[Iterable[Episode]]
     ) -> None:
         """Continue where another learner of the same settings was.
 
         Args:
             state: What its ``state_dict`` returned.
-            episodes_by_epoch: The real episodes of each finished epoch, in order.
+            episodes_by_epoch: The real episodes of each finished epoch, in order. They are gone
+                through once, so that they may be read one epoch at a time.
         """
         self.real.clear()
         self.real_collected = 0

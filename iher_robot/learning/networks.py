@@ -7,6 +7,10 @@ from itertools import pairwise
 
 import torch
 from torch import nn
+from torch.nn import functional
+
+LARGEST_BLOCK = 4096
+"""Rows that ``in_blocks`` computes at once, at most; a power of two."""
 
 
 def mlp(
@@ -44,3 +48,49 @@ def mlp(
             layers += [nn.LayerNorm(fan_in)] * layer_norm + [nn.ReLU(inplace=True)]
         layers.append(layer)
     return nn.Sequential(*layers)
+
+
+def in_blocks(network: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
+    """Apply a network to any number of rows, in blocks whose sizes are powers of two.
+
+    On a CPU torch has a matrix product compiled for each shape that it meets (oneDNN, in every
+    precision but ``highest``) and keeps the code, about 1 MB a layer: numbers of rows that are
+    never twice the same would fill gigabytes.
+
+    Args:
+        network: Computes each row by itself.
+        inputs: ``(rows, inputs)``
+
+    Returns:
+        ``(rows, outputs)``
+    """
+    sizes = block_sizes(len(inputs))
+    if inputs.device.type != "cpu" or sizes == [len(inputs)] or not sizes:
+        output: torch.Tensor = network(inputs)
+        return output
+    outputs, begin = [], 0
+    for size in sizes:
+        rows = inputs[begin : begin + size]
+        padded = functional.pad(rows, (0, 0, 0, size - len(rows)))
+        outputs.append(network(padded)[: len(rows)])
+        begin += size
+    return torch.cat(outputs)
+
+
+def block_sizes(rows: int) -> list[int]:
+    """Powers of two that hold so many rows; the last one may be larger than what is left for it.
+
+    Args:
+        rows: How many.
+
+    Returns:
+        Sizes from the largest to the smallest.
+    """
+    sizes, left = [], rows
+    while left > 0:
+        size = min(LARGEST_BLOCK, 1 << (left - 1).bit_length())
+        if size > 64 and left < 0.875 * size:  # more calls cost less than so many rows of nothing
+            size //= 2
+        sizes.append(size)
+        left -= size
+    return sizes

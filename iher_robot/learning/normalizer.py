@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import torch
 
+BLOCK = 16_384
+"""Rows that are widened to float64 at once."""
+
 
 class RunningNormalizer:
     """Mean and standard deviation of everything seen so far.
@@ -81,9 +84,12 @@ class FittedNormalizer:
 
     def fit(self, values: torch.Tensor) -> None:
         """Replace the statistics by those of these values. ``(batch, dim)``"""
-        wide = values.double()
-        self.mean = wide.mean(0).float()
-        self.std = wide.std(0, correction=0).clamp_min(self.std_floor).float()
+        # Block by block: all of them in float64 would be the most memory that a learner takes.
+        blocks, count = values.split(BLOCK), len(values)
+        mean = torch.stack([block.double().sum(0) for block in blocks]).sum(0) / count
+        squares = torch.stack([(block.double() - mean).square().sum(0) for block in blocks])
+        self.mean = mean.float()
+        self.std = (squares.sum(0) / count).sqrt().clamp_min(self.std_floor).float()
 
     def normalize(self, values: torch.Tensor) -> torch.Tensor:
         """To zero mean and unit spread. ``(..., dim)``"""

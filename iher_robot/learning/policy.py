@@ -10,7 +10,7 @@ from torch import nn
 
 from iher_robot.learning.config import ExplorationConfig, LearnerConfig
 from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
-from iher_robot.learning.networks import mlp
+from iher_robot.learning.networks import in_blocks, mlp
 from iher_robot.learning.normalizer import RunningNormalizer
 
 
@@ -129,7 +129,7 @@ class Policy:
         self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
     ) -> torch.Tensor:
         """Action without noise. ``(batch, obs_dim), (batch, goal_dim), (batch,)``"""
-        return self.action(self.features(observation, goal, source))
+        return torch.tanh(in_blocks(self.actor, self.features(observation, goal, source)))
 
     def snapshot(self) -> dict[str, Any]:
         """Copy of all that acting needs: tensors and plain values only."""

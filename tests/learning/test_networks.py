@@ -1,11 +1,12 @@
-"""Networks draw their weights from the generator that they are given."""
+"""Networks draw their weights from the generator that they are given, and compute in blocks."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import nn
 
-from iher_robot.learning.networks import mlp
+from iher_robot.learning.networks import LARGEST_BLOCK, block_sizes, in_blocks, mlp
 from tests.learning.stand_ins import generator
 
 
@@ -60,3 +61,27 @@ def test_what_a_normalised_hidden_layer_rectifies_has_mean_zero_and_variance_one
     for values in seen:
         torch.testing.assert_close(values.mean(-1), torch.zeros(20), atol=1e-4, rtol=0)
         torch.testing.assert_close(values.var(-1, correction=0), torch.ones(20), atol=1e-2, rtol=0)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 3, 64, 65, 100, 500, 4000, 2 * LARGEST_BLOCK + 77])
+def test_rows_in_blocks_come_out_as_all_at_once(rows: int) -> None:
+    network = mlp(4, (16, 16), 3, generator(), layer_norm=True)
+    inputs = torch.randn(rows, 4, generator=generator())
+    seen: list[int] = []
+    handle = network.register_forward_pre_hook(lambda _, args: seen.append(len(args[0])))
+    outputs = in_blocks(network, inputs)
+    handle.remove()
+    assert outputs.shape == (rows, 3)
+    torch.testing.assert_close(outputs, network(inputs))
+    assert seen == (block_sizes(rows) or [0])
+
+
+def test_blocks_of_any_number_of_rows_have_a_few_sizes_and_little_padding() -> None:
+    sizes: set[int] = set()
+    for rows in range(1, 3 * LARGEST_BLOCK):
+        blocks = block_sizes(rows)
+        assert blocks == sorted(blocks, reverse=True)
+        assert sum(blocks[:-1]) < rows <= sum(blocks)
+        assert sum(blocks) - rows <= max(rows / 7, 31)
+        sizes.update(blocks)
+    assert sizes == {2**power for power in range(LARGEST_BLOCK.bit_length())}

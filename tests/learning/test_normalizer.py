@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from iher_robot.learning.normalizer import FittedNormalizer, RunningNormalizer
-from tests.learning.stand_ins import CPU
+from iher_robot.learning.normalizer import BLOCK, FittedNormalizer, RunningNormalizer
+from tests.learning.stand_ins import CPU, generator
 
 
 def running(clip: float = 5.0, std_floor: float = 0.01) -> RunningNormalizer:
@@ -104,3 +104,12 @@ def test_a_constant_entry_is_divided_by_the_floor() -> None:
     copy.load_state_dict(normalizer.state_dict())
     assert torch.equal(copy.mean, normalizer.mean)
     assert torch.equal(copy.std, normalizer.std)
+
+
+def test_more_values_than_a_block_are_fitted_as_all_at_once() -> None:
+    values = 100.0 + torch.randn(2 * BLOCK + 5, 3, generator=generator())
+    values[:BLOCK] += 1.0  # blocks have means of their own
+    normalizer = FittedNormalizer(3, std_floor=1e-3, device=CPU)
+    normalizer.fit(values)
+    assert torch.equal(normalizer.mean, values.double().mean(0).float())
+    torch.testing.assert_close(normalizer.std, values.double().std(0, correction=0).float())
