@@ -5,6 +5,8 @@
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine, with medians (bench/throughput.py)
 # make bench-link                     round trips and ticks of a served robot (bench/link.py)
+# make bench-memory                   memory of the learner, full and over many epochs (bench/memory.py)
+# make bench-journal                  what keeping every tick costs (bench/journal.py)
 # make faults                         100 kills of learners, each checked (python -m tests.faults)
 # make clean                          remove the environment, builds and caches; never runs/
 
@@ -19,7 +21,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench bench-link faults format clean
+.PHONY: train install test check bench bench-link bench-memory bench-journal faults format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -44,7 +46,14 @@ bench: .venv/dev
 bench-link: .venv/dev
 	$(BIN)/python bench/link.py $(ARGS)
 
+bench-memory: .venv/dev
+	OMP_NUM_THREADS=1 $(BIN)/python bench/memory.py $(ARGS)
+
+bench-journal: .venv/dev
+	OMP_NUM_THREADS=1 $(BIN)/python bench/journal.py $(ARGS)
+
 faults: .venv/dev
+	IHER_ROBOT_MUTATIONS=1000 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 tests/test_mutations.py
 	$(BIN)/python -m tests.faults $(ARGS)
 
 format: .venv/dev
