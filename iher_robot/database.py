@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgpack  # type: ignore[import-untyped]  # it ships neither types nor stubs
 
 from drivers.closing import Closing
 from iher_robot.errors import UserError
@@ -168,10 +169,9 @@ def _mode(path: Path, read_only: bool) -> str:
     return "mode=ro" if logged or os.access(path.parent, os.W_OK) else "immutable=1"
 
 
-def row_seal(*values: Any) -> bytes:
+def row_seal(*values: object) -> bytes:
     """Digest of the values of a row: integers, text, bytes and None."""
-    text = json.dumps(values, default=bytes.hex)
-    return hashlib.blake2b(text.encode(), digest_size=16).digest()
+    return hashlib.blake2b(msgpack.packb(values), digest_size=16).digest()
 
 
 def _number(execute: Callable[..., sqlite3.Cursor], pragma: str) -> int:

@@ -96,6 +96,7 @@ class EpisodeIndex(Closing):
     def __init__(self, path: Path, *, read_only: bool = False) -> None:
         self.path = path
         self._database = Database(path, INDEX, read_only=read_only)
+        self._kind: np.dtype[np.void] | None = None
         try:
             self.digests = self._read_digests()
             self.running = self._read_running()
@@ -132,7 +133,11 @@ class EpisodeIndex(Closing):
             UserError: The system refuses.
         """
         assert self.running is not None, "begin comes first"
-        row = (len(self.running.ticks), tick.pack())
+        # The first record says what all of them are, as a file of NumPy's does.
+        first = not self.running.ticks
+        record = tick.as_record(None if first else self._kind)
+        self._kind = record.dtype
+        row = (len(self.running.ticks), pack_array(record) if first else record.tobytes())
         self.running.ticks.append(tick)  # first: what cannot be written may still be sealed
         self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
 
@@ -189,7 +194,7 @@ class EpisodeIndex(Closing):
                 header=EpisodeHeader.from_json(header),
                 observation=unpack_array(observation),
                 desired_goal=unpack_array(desired_goal),
-                ticks=[RecordedTick.unpack(record) for _, record, _ in records],
+                ticks=_read_ticks([record for _, record, _ in records]),
             )
         except UNREADABLE as error:
             raise self._damaged() from error
@@ -201,3 +206,11 @@ class EpisodeIndex(Closing):
 
     def _damaged(self) -> UserError:
         return UserError(f"{self.path} is damaged: put back the index that belongs to the files")
+
+
+def _read_ticks(records: Sequence[bytes]) -> list[RecordedTick]:
+    if not records:
+        return []
+    first = unpack_array(records[0])
+    rest = [np.frombuffer(record, first.dtype).reshape(()) for record in records[1:]]
+    return [RecordedTick.from_record(record) for record in (first, *rest)]

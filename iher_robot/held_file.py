@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from iher_robot.errors import UserError
 from iher_robot.sealed_json import open_line, seal_line
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_SIZE = 4096
+_SIZE = 1024
 
 
 class FileHeld(UserError):
@@ -59,7 +60,7 @@ class HeldFile(Closing):
         """Replace the note.
 
         Args:
-            note: Plain values, a few kilobytes at most.
+            note: Plain values, half a kilobyte at most.
 
         Raises:
             UserError: The system refuses, such as on a full disk.
@@ -90,5 +91,6 @@ def read_note(path: Path) -> Mapping[str, Any]:
     return note if note.get("boot") == _boot() else {}
 
 
+@cache
 def _boot() -> str:
     return _BOOT_ID.read_text().strip()
