@@ -380,6 +380,14 @@ class RobotDriver(RobotHooks, Closing):
                 self._speed_scale = 1.0
             return result
 
+    def expect_human(self) -> None:
+        """Let nothing move until hands are confirmed clear: a human was asked for before.
+
+        For a host, which remembers that over a restart.
+        """
+        with self._hooks:
+            self._hands_clear = False
+
     def confirm_hands_clear(self) -> None:
         """Confirm that nobody is in reach, after a reset that needed a human.
 

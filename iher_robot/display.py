@@ -6,8 +6,8 @@ import datetime
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import TracebackType
 
 from rich.console import Console, Group, RenderableType
@@ -69,13 +69,27 @@ class TrainingDisplay:
 
     def __enter__(self) -> TrainingDisplay:
         if self.enabled and self.console.is_terminal:
-            self._live = Live(
-                get_renderable=self.render,
-                console=self.console,
-                refresh_per_second=_REFRESHES_PER_SECOND,
-            )
+            self._live = self._make_live()
         self._live.__enter__()
         return self
+
+    def _make_live(self) -> Live:
+        return Live(
+            get_renderable=self.render,
+            console=self.console,
+            refresh_per_second=_REFRESHES_PER_SECOND,
+        )
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Leave the terminal to a question."""
+        self._live.__exit__(None, None, None)
+        try:
+            yield
+        finally:
+            if isinstance(self._live, Live):
+                self._live = self._make_live()
+            self._live.__enter__()
 
     def __exit__(
         self,

@@ -25,6 +25,7 @@ from drivers import (
     StaleState,
     make_driver,
 )
+from iher_robot.assisted_reset import AskHuman, reset_with_help
 from iher_robot.controller import Controller, make_controller
 from iher_robot.errors import NoSolution, UserError
 from iher_robot.tick import InvalidTicks, Tick, judge_tick
@@ -91,7 +92,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         controller: Controller | None = None,
         render_mode: str | None = None,
         max_invalid_ticks: int = 5,
-        ask_human: Callable[[str], None] | None = None,
+        ask_human: AskHuman | None = None,
     ) -> None:
         """Put a task on a robot.
 
@@ -118,7 +119,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             raise UserError(f"driver {driver.spec.name} renders no pictures; use render_mode=None")
         self.render_mode = render_mode
         self._max_invalid_ticks = max_invalid_ticks
-        self._ask_human = ask_human
+        self.ask_human = ask_human
         goal = spaces.Box(-np.inf, np.inf, (self.task.goal_dim,), np.float64)
         observation = spaces.Box(-np.inf, np.inf, (self.task.layout.obs_dim,), np.float64)
         self.observation_space: spaces.Dict = spaces.Dict(
@@ -318,11 +319,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         # From a copy: the draws of starts and goals stay those of the reference.
         noise_seed = int(copy.deepcopy(self.np_random).integers(2**32))
         request = dataclasses.replace(request, seed=noise_seed)
-        result = self.driver.reset(request)
-        while result.outcome is ResetOutcome.NEEDS_HUMAN and self._ask_human is not None:
-            self._ask_human(result.message)
-            self.driver.confirm_hands_clear()
-            result = self.driver.reset(request)
+        result = reset_with_help(self.driver, request, self.ask_human)
         if result.outcome is not ResetOutcome.DONE:
             raise ResetFailed(
                 f"reset of {self.robot_spec.name} ended as {result.outcome}: {result.message}"
@@ -368,7 +365,7 @@ def make_env(
     task_name: str,
     driver_name: str = "mujoco",
     render_mode: str | None = None,
-    ask_human: Callable[[str], None] | None = None,
+    ask_human: AskHuman | None = None,
     **driver_options: Any,
 ) -> GoalRobotEnv:
     """Make the environment of a task on a driver.

@@ -22,6 +22,7 @@ from drivers.remote import LinkOptions
 from drivers.remote.client import RobotClient
 from drivers.remote.messages import ClearFaultRequest
 from drivers.remote.status import HostStatus, printable, read_status
+from iher_robot.assisted_reset import AskHuman, reset_with_help
 from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.deployment_operator import Operator
 from iher_robot.errors import UserError
@@ -202,11 +203,7 @@ def _sentence(status: HostStatus) -> str:
 def _bring_home(driver: RobotDriver, operator: Operator) -> None:
     name = driver.spec.name
     try:
-        result = driver.reset(ResetRequest())
-        while result.outcome is ResetOutcome.NEEDS_HUMAN and operator.present:
-            operator.help(printable(result.message))
-            driver.confirm_hands_clear()
-            result = driver.reset(ResetRequest())
+        result = reset_with_help(driver, ResetRequest(), _help_of(operator))
     except KeyboardInterrupt as error:
         driver.stop("interrupted on its way home")  # else it would go on by itself
         error.add_note(f"a stop was sent to {name}; see how it stands with: iher-robot doctor")
@@ -216,6 +213,10 @@ def _bring_home(driver: RobotDriver, operator: Operator) -> None:
             f"{name} did not get home: its reset ended as {result.outcome}: "
             f"{printable(result.message)}"
         )
+
+
+def _help_of(operator: Operator) -> AskHuman | None:
+    return (lambda message: operator.help(printable(message))) if operator.present else None
 
 
 def _measured(driver: RobotDriver) -> RobotState | None:

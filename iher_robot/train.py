@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
@@ -16,6 +17,7 @@ from iher_robot.budget import Budget
 from iher_robot.callable_module import make_module_callable
 from iher_robot.chosen_robot import ChosenRobot
 from iher_robot.config import dump_config, load_config, read_config
+from iher_robot.deployment_operator import Operator
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
@@ -184,6 +186,9 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
         title = f"{config.task} on {config.chosen_robot.title}, {config.algo}, {config.preset}"
         shown = stack.enter_context(TrainingDisplay(minutes, title=title, enabled=display))
+        operator = Operator()
+        if operator.present:
+            cell.env.ask_human = partial(_ask, operator, shown)
         shown.announce(cell.meaning_of_budget(budget.budget_ticks, budget.spent_ticks))
         try:
             last = TrainingRun(cell, directory, ledger, store, shown, writer, provenance).run()
@@ -205,6 +210,11 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
         robot=config.chosen_robot,
         video=None if final is None else final.video,
     )
+
+
+def _ask(operator: Operator, shown: TrainingDisplay, message: str) -> None:
+    with shown.paused():
+        operator.help(message)
 
 
 def _final_evaluation(

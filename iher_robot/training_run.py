@@ -196,7 +196,9 @@ class TrainingRun:
             row |= self.learner.learn(self._phase)
         except FloatingPointError as error:
             raise UserError(f"learning stopped in epoch {self.learner.epoch}: {error}") from error
-        if self._spent or self.learner.epoch % self.config.evaluation.every_epochs == 0:
+        # What earlier data are worth is to be known before the robot moves.
+        first = not self.rows and bool(self.config.from_data)
+        if first or self._spent or self.learner.epoch % self.config.evaluation.every_epochs == 0:
             row |= self._evaluate()
         self.pending = []
         row["wall_seconds"] = self.seconds_before + time.monotonic() - self.started

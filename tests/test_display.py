@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import time
 
 import pytest
 from rich.console import Console
@@ -175,3 +176,23 @@ def test_when_off_it_shows_nothing(clock: Clock, make: type[Console]) -> None:
         display.phase("update", 1, 2)
         display.epoch(ROW)
     assert written(console) == ""
+
+
+def test_a_question_has_the_terminal_to_itself(clock: Clock) -> None:
+    console = terminal()
+    with TrainingDisplay(1.0, title="push", console=console, clock=clock) as display:
+        display.minutes(0.25)
+        with display.paused():
+            before = written(console)
+            time.sleep(0.6)  # more than a refresh
+            assert written(console) == before
+        display.minutes(0.5)
+    assert "0.25 used" in before
+    assert "0.50 used" in written(console)
+
+
+def test_a_pause_without_a_display_changes_nothing(clock: Clock) -> None:
+    console = pipe()
+    with TrainingDisplay(1.0, console=console, clock=clock) as display, display.paused():
+        display.announce("put the cube back")
+    assert written(console) == "put the cube back\n"

@@ -34,7 +34,7 @@ def test_earlier_data_are_learned_from_before_the_robot_moves(
     tmp_path: Path, earlier: Path
 ) -> None:
     out = tmp_path / "run"
-    run(out, EPOCH_MINUTES, seed=5, from_data=[earlier, earlier])
+    run(out, EPOCH_MINUTES, "evaluation.every_epochs=9", seed=5, from_data=[earlier, earlier])
     rows = metrics(out)
     assert [row["robot_minutes"] for row in rows] == pytest.approx([0.0, 100 / 1500])
     assert [row["real_transitions"] for row in rows] == [400, 500]

@@ -24,7 +24,7 @@ _RESERVED_TICKS = 500
 
 
 class RobotMemory:
-    """The latched fault and a ceiling of the tick counter, in one file.
+    """The latched fault, whether a human was asked for, and a ceiling of the ticks, in one file.
 
     Raises:
         UserError: The file is damaged.
@@ -39,7 +39,7 @@ class RobotMemory:
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = threading.Lock()  # a stop comes in another thread than the ticks
         self._path = folder / "robot.json"
-        self._content: dict[str, Any] = {"ticks": 0, "fault": None}
+        self._content: dict[str, Any] = {"ticks": 0, "fault": None, "human": False}
         if self._path.exists():
             self._content = _read(self._path)
 
@@ -53,6 +53,17 @@ class RobotMemory:
     def ticks(self) -> int:
         """No tick counted so far is above it."""
         return int(self._content["ticks"])
+
+    @property
+    def human(self) -> bool:
+        """Whether a human was asked for, and no reset was done since."""
+        return bool(self._content["human"])
+
+    def keep_human(self, asked_for: bool) -> None:
+        """Write down whether a human was asked for, and no reset was done since."""
+        with self._lock:
+            if asked_for != self._content["human"]:
+                self._write(self._content | {"human": asked_for})
 
     def keep(self, latched: Callable[[], Fault | None]) -> None:
         """Write down the latched fault, if it is another one than before.

@@ -207,7 +207,7 @@ class RequestDesk:
         period_ns = self._robot.spec.control_period_ns
         with self._total.longest("reset", round(_LONGEST_RESET_S * 1e9 / period_ns)) as entry:
             try:
-                result = self._robot.driver.reset(ResetRequest(places, request.seed))
+                result = self._robot.reset(ResetRequest(places, request.seed))
             finally:  # one that failed may have moved, too
                 self._desk.forget()
                 self._lease.heard()

@@ -7,7 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers import ObjectPose, ObjectSource, RobotDriver, RobotSpec, RobotState
+from drivers import (
+    ObjectPose,
+    ObjectSource,
+    ResetRequest,
+    ResetResult,
+    RobotDriver,
+    RobotSpec,
+    RobotState,
+)
 from drivers.clock import Clock
 from drivers.errors import InvalidRequest
 from drivers.remote.messages import POSE_SIZES, ObjectMessage
@@ -107,7 +115,16 @@ class ServedRobot:
     def open(self) -> None:
         """Connect; the tick counter goes on where it was when the robot was last served."""
         self.driver.open()
+        if self._memory.human:
+            self.driver.expect_human()
         self._ahead = self._memory.ticks + 1 - self.driver.measure().seq
+
+    def reset(self, request: ResetRequest) -> ResetResult:
+        """Reset, and remember over a restart of the host whether a human was asked for."""
+        try:
+            return self.driver.reset(request)
+        finally:
+            self._memory.keep_human(self.driver.after_human_help)
 
     def close(self) -> None:
         """Hold, disarm and disconnect."""

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers import InvalidRequest, SimulatedClock
+from drivers import (
+    HandsNotClear,
+    InvalidRequest,
+    ResetOutcome,
+    ResetRequest,
+    ResetResult,
+    SimulatedClock,
+)
 from drivers.remote.messages import ObjectMessage
 from iher_robot.host.memory import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
@@ -62,3 +69,31 @@ def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) 
     )
     with pytest.raises(InvalidRequest, match="not asked for"):
         robot.see("object0", pose)
+
+
+class Helpless(FakeRobot):
+    """Needs a hand at every reset until it was given one."""
+
+    def _reset(self, request: ResetRequest) -> ResetResult:
+        if self.speed_scale == 1.0:
+            return ResetResult(ResetOutcome.NEEDS_HUMAN, "put the cube back")
+        return super()._reset(request)
+
+
+def test_a_restart_of_the_host_does_not_forget_that_a_person_is_in_reach(tmp_path: Path) -> None:
+    for attempt in range(2):
+        robot = ServedRobot(
+            lambda _: Helpless(), "push", RobotMemory(tmp_path), (), SimulatedClock()
+        )
+        robot.open()
+        if attempt == 0:
+            assert robot.reset(ResetRequest()).outcome is ResetOutcome.NEEDS_HUMAN
+        else:
+            with pytest.raises(HandsNotClear):
+                robot.driver.arm()
+            with pytest.raises(HandsNotClear):
+                robot.reset(ResetRequest())
+            robot.driver.confirm_hands_clear()
+            assert robot.reset(ResetRequest()).outcome is ResetOutcome.DONE
+        robot.close()
+    assert not RobotMemory(tmp_path).human
