@@ -57,6 +57,14 @@ def train(
         str, typer.Option(help="Stop when two evaluations in a row reach this rate, or off.")
     ] = "1.0",
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    asynchronous: Annotated[
+        bool | None,
+        typer.Option(
+            "--async/--sync",
+            help="Learn in a process of its own while the robot moves, or in turn with it.",
+            show_default=False,
+        ),
+    ] = None,
     video: Annotated[
         bool, typer.Option("--video", help="Film the final policy; needs the extra 'video'.")
     ] = False,
@@ -93,6 +101,7 @@ def train(
             out=folder,
             until_success=until,
             device=device,
+            asynchronous=asynchronous,
             display=display,
             video=video,
             from_data=from_data or (),

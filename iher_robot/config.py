@@ -75,6 +75,8 @@ class RunConfig(_Section):
     threads: int = Field(default=1, ge=1, le=1024)
     """Threads of torch's matrix products on the CPU. With more than there are idle cores, waiting
     for a busy one costs most of the speed."""
+    asynchronous: bool = False
+    """Learn in a process of its own while the robot collects the next epoch, instead of in turn."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
     from_data: tuple[str, ...] = ()
@@ -114,7 +116,7 @@ def load_config(
         algo: Name of an algorithm.
         overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
         options: Settings that have an option of their own, which errors name: budget_minutes,
-            seed, device, until_success, driver.
+            seed, device, until_success, driver, asynchronous.
         robot: Name of a shipped robot or of one on the network, or the path of a YAML file; the
             driver's default where None.
         connect: Where to reach a robot on the network; what its file says where empty.

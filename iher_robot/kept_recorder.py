@@ -13,6 +13,7 @@ from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import describe
 from iher_robot.ledger import Entry, Ledger
 from iher_robot.stored_episode import DONE, EpisodeHeader, RecordedTick
+from iher_robot.tick_jitter import TickJitter
 
 RESET_AHEAD_S = 120.0
 """Robot time that is written down before a reset: nobody knows how long it will take."""
@@ -29,6 +30,7 @@ class KeptRecorder(Recorder):
         reserve: Reserves them.
         ledger: Accounts of the run.
         header: Makes the header from the source that the policy is told and the reservation.
+        jitter: Told of each state; None where nobody asks.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class KeptRecorder(Recorder):
         reserve: Callable[[], AbstractContextManager[Entry]],
         ledger: Ledger,
         header: Callable[[int, int], EpisodeHeader],
+        jitter: TickJitter | None = None,
     ) -> None:
         super().__init__()
         self._driver = env.driver
@@ -46,6 +49,7 @@ class KeptRecorder(Recorder):
         self._reserve = reserve
         self._ledger = ledger
         self._header = header
+        self._jitter = jitter
         self._stack = ExitStack()
 
     def __enter__(self) -> KeptRecorder:
@@ -66,6 +70,8 @@ class KeptRecorder(Recorder):
     def start(self, observation: Observation) -> None:
         """Take the observation of a reset."""
         super().start(observation)
+        if self._jitter is not None:
+            self._jitter.begin()
         self._settle_reset()
         header = self._header(self.told_source, self._entry.number)
         self._store.begin(header, observation["observation"], observation["desired_goal"])
@@ -76,6 +82,8 @@ class KeptRecorder(Recorder):
         super()._charge(ticks)
 
     def _record(self, tick: RecordedTick) -> None:
+        if self._jitter is not None:
+            self._jitter.tick(tick.elapsed)
         super()._record(tick)
         self._store.record(tick)
 

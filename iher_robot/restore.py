@@ -13,6 +13,7 @@ from iher_robot.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.ledger import Ledger
+from iher_robot.lesson import CollectedEpoch
 from iher_robot.run_directory import RunDirectory
 from iher_robot.stored_episode import DONE, StoredEpisode
 
@@ -25,16 +26,14 @@ class Restored:
         learner: What ``Learner.state_dict`` returned, None before the first checkpoint.
         rows: Metrics of the finished epochs.
         by_epoch: Real episodes of each finished epoch, those of earlier runs in the first.
-        pending: Real episodes of the epoch that was under way.
-        warm_start: Whether these are of earlier runs.
+        pending: What was collected since, in order; nothing was learned from it.
         collected: Real episodes that this run collected.
     """
 
     learner: dict[str, Any] | None
     rows: list[dict[str, float]]
     by_epoch: list[list[Episode]]
-    pending: list[Episode]
-    warm_start: bool
+    pending: list[CollectedEpoch]
     collected: int
 
 
@@ -60,6 +59,7 @@ def restore(
     """
     state = load_checkpoint(directory.checkpoint_path)
     by_epoch: dict[int, list[Episode]] = defaultdict(list)
+    ticks: dict[int, int] = defaultdict(int)
     spent: dict[Account, int] = defaultdict(int)
     newest_entry = 0 if state is None else int(state["run"]["ledger_entry"])
     collected = 0
@@ -69,21 +69,28 @@ def restore(
         newest_entry = max(newest_entry, stored.entry)
         if stored.account == "motion":
             by_epoch[stored.epoch].append(stored.episode)
+            ticks[stored.epoch] += int(stored.elapsed.sum())
             collected += 1
     _check_ledger(ledger, spent, newest_entry)
     if config.from_data:
         by_epoch[1] = _read_warm_start(directory)
     finished = 0 if state is None else int(state["learner"]["epoch"])
     newest = max(by_epoch, default=0)
-    if newest > finished + 1:
+    # Beside the robot an epoch is learned while the next one is collected.
+    ahead = 2 if config.asynchronous else 1
+    if newest > finished + ahead:
         raise UserError(
             f"{directory.checkpoint_path} is missing or too old: it ends with epoch {finished}, "
             f"but there are episodes of epoch {newest}; put the newest one back"
         )
-    pending = by_epoch[finished + 1]
-    warm_start = bool(config.from_data) and finished == 0
+    pending = [
+        CollectedEpoch(number, by_epoch[number], ticks[number])
+        for number in range(finished + 1, newest + 1)
+    ]
     if state is None:
-        return Restored(None, [], [], pending, warm_start, collected)
+        if config.from_data:
+            pending[0].earlier = True
+        return Restored(None, [], [], pending, collected)
     run = state["run"]
     if run["config"] != dump_config(config):
         raise UserError(
@@ -91,13 +98,13 @@ def restore(
             "a new run with another --out"
         )
     epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
-    found = collected - len(pending)
+    found = collected - sum(len(epoch.episodes) for epoch in pending)
     if found != run["episodes"]:
         raise UserError(
             f"{directory.episodes_path} holds {found} episodes of the epochs up to {finished}, "
             f"the run collected {run['episodes']}; put the missing files back"
         )
-    return Restored(state["learner"], run["rows"], epochs, pending, warm_start, collected)
+    return Restored(state["learner"], run["rows"], epochs, pending, collected)
 
 
 def _settle(stored: StoredEpisode, store: EpisodeStore, ledger: Ledger) -> None:

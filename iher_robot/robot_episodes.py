@@ -18,6 +18,7 @@ from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Entry, Ledger
 from iher_robot.patience import Patience
 from iher_robot.stored_episode import EpisodeHeader
+from iher_robot.tick_jitter import TickJitter
 
 
 class RobotEpisodes(Closing):
@@ -28,6 +29,9 @@ class RobotEpisodes(Closing):
         store: Keeps the ticks of each episode.
         ledger: Accounts of the run.
         patience: How long to wait.
+
+    Attributes:
+        jitter: Of the ticks of motion.
     """
 
     def __init__(
@@ -38,6 +42,7 @@ class RobotEpisodes(Closing):
         self._ledger = ledger
         self._patience = patience
         self._idle = IdleMeter(env.driver, ledger)
+        self.jitter = TickJitter(env.driver)
 
     def run(
         self,
@@ -108,6 +113,7 @@ class RobotEpisodes(Closing):
             reserve,
             self._ledger,
             lambda told, entry: EpisodeHeader(epoch, told, account, seed, entry),
+            self.jitter if account == "motion" else None,
         )
 
     def _may_come_back(self, error: DriverError) -> bool:

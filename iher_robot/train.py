@@ -98,6 +98,7 @@ def train(
     out: Path | None = None,
     until_success: float | None = 1.0,
     device: str = "auto",
+    asynchronous: bool | None = None,
     display: bool = True,
     video: bool = False,
     from_data: Sequence[str | Path] = (),
@@ -117,6 +118,8 @@ def train(
         out: Run folder to make; by default a new one under ``runs``.
         until_success: Stop when the last two evaluations reach this rate; None never stops.
         device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
+        asynchronous: Learn in a process of its own while the robot moves; as the preset says,
+            usually in turn with it, where None.
         display: Show progress while it runs.
         video: Film the final policy, in simulation.
         from_data: Folders of earlier runs of the same task and robot; the learner begins with
@@ -136,6 +139,8 @@ def train(
     }
     if driver is not None:
         options["driver"] = driver
+    if asynchronous is not None:
+        options["asynchronous"] = asynchronous
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
     sources = [str(Path(folder).resolve()) for folder in from_data]

@@ -15,6 +15,9 @@ from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
+from tasks import GoalTask
+
+CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Workcell:
         env: The robot.
         simulator: Where the policy is evaluated free of charge; None where the robot is physical,
             or another driver with the same options would move the same one.
-        learner: The learner.
+        learner: The learner; in an asynchronous run a copy that acts, on the CPU.
         budget_ticks: Control ticks that the budget grants.
     """
 
@@ -102,36 +105,55 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         UserError: A setting that this machine or this robot cannot meet.
     """
     device = pick_device(config.device)
-    torch.set_num_threads(config.threads)
-    torch.set_float32_matmul_precision(config.learner.matmul_precision)
+    prepare_torch(config)
     with ExitStack() as stack:
         env = stack.enter_context(config.chosen_robot.make_env(config.task))
         simulator = None
         if not (env.driver.spec.physical or env.driver.exclusive):
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
-        symmetry = env.task.symmetry(rough=config.learner.symmetry.rough)
-        shapes = Shapes(
-            obs_dim=env.task.layout.obs_dim,
-            goal_dim=env.task.goal_dim,
-            action_dim=len(env.driver.spec.action.names),
-            episode_ticks=env.task.episode_ticks,
-            goal_entries=env.task.goal_model.achieved_entries,
-            shifted_entries=() if symmetry is None else symmetry.shifted,
-        )
-        try:
-            learner = Learner(
-                shapes,
-                env.task.goal_model,
-                config.learner,
-                seed=config.seed,
-                device=device,
-                symmetry=symmetry,
-                contact_model=env.task.contact_model,
-            )
-        except ValueError as error:
-            raise UserError(f"task {config.task!r}: {error}") from error
+        learner = make_learner(config, env.task, CPU if config.asynchronous else device)
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
         yield Workcell(config, env, simulator, learner, ticks)
+
+
+def prepare_torch(config: RunConfig) -> None:
+    """Set what torch keeps for a whole process."""
+    torch.set_num_threads(config.threads)
+    torch.set_float32_matmul_precision(config.learner.matmul_precision)
+
+
+def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Learner:
+    """Make the learner of a run.
+
+    Args:
+        config: Settings of the run.
+        task: The task, bound to the robot.
+        device: Where replay, models and policy live.
+
+    Raises:
+        UserError: A setting asks for what the task does not declare.
+    """
+    symmetry = task.symmetry(rough=config.learner.symmetry.rough)
+    shapes = Shapes(
+        obs_dim=task.layout.obs_dim,
+        goal_dim=task.goal_dim,
+        action_dim=len(task.spec.action.names),
+        episode_ticks=task.episode_ticks,
+        goal_entries=task.goal_model.achieved_entries,
+        shifted_entries=() if symmetry is None else symmetry.shifted,
+    )
+    try:
+        return Learner(
+            shapes,
+            task.goal_model,
+            config.learner,
+            seed=config.seed,
+            device=device,
+            symmetry=symmetry,
+            contact_model=task.contact_model,
+        )
+    except ValueError as error:
+        raise UserError(f"task {config.task!r}: {error}") from error
 
 
 def _wall_time(seconds: float) -> str:

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 import iher_robot.chosen_robot
-import iher_robot.training_run
+import iher_robot.evaluation
 import iher_robot.workcell
 from drivers.rendering import CannotRender
 from iher_robot.checkpoint import load_checkpoint
@@ -217,7 +217,7 @@ def test_a_run_stops_when_two_evaluations_in_a_row_succeed(
 ) -> None:
     outcomes = iter([1, 0, 1, 1, 0, 0])
     monkeypatch.setattr(
-        iher_robot.training_run,
+        iher_robot.evaluation,
         "run_evaluation",
         lambda *args: Evaluation(successes=next(outcomes), count=1, episodes=[]),
     )

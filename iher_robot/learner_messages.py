@@ -1,0 +1,56 @@
+"""What a run and its learner's process tell each other: dicts as torch files, never executed."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Iterable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+import torch
+
+from iher_robot.learning.episode import Episode
+
+Message = dict[str, Any]
+
+_ARRAYS = tuple(field.name for field in dataclasses.fields(Episode))
+
+
+def send_message(connection: Connection, message: Mapping[str, Any]) -> None:
+    """Send a message; waits until the other side has room for it.
+
+    Args:
+        connection: The way to the other side.
+        message: Dicts, lists, text, numbers, tensors.
+
+    Raises:
+        OSError: The other side is gone.
+    """
+    buffer = io.BytesIO()
+    torch.save(dict(message), buffer)
+    connection.send_bytes(buffer.getbuffer())
+
+
+def receive_message(connection: Connection) -> Message:
+    """Wait for the next message; its tensors are on the CPU.
+
+    Raises:
+        EOFError: The other side is gone.
+        OSError: It went in the middle of a message.
+    """
+    content = io.BytesIO(connection.recv_bytes())
+    message: Message = torch.load(content, map_location="cpu", weights_only=True)
+    return message
+
+
+def pack_episodes(episodes: Iterable[Episode]) -> list[dict[str, torch.Tensor]]:
+    """Episodes as they travel, in the precision that they have."""
+    return [
+        {name: torch.as_tensor(getattr(episode, name)) for name in _ARRAYS} for episode in episodes
+    ]
+
+
+def unpack_episodes(packed: Iterable[Mapping[str, torch.Tensor]]) -> list[Episode]:
+    """Read what ``pack_episodes`` returned."""
+    return [Episode(**{name: one[name].numpy() for name in _ARRAYS}) for one in packed]

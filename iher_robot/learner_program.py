@@ -1,0 +1,91 @@
+"""The process of a learner: learns what it is given until the run that started it ends."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from multiprocessing.connection import Connection
+from typing import Any
+
+from drivers import DriverError
+from drivers.remote.driver import read_spec
+from iher_robot.config import RunConfig
+from iher_robot.errors import UserError
+from iher_robot.learner_messages import (
+    Message,
+    receive_message,
+    send_message,
+    unpack_episodes,
+)
+from iher_robot.run_learner import learn_epoch
+from iher_robot.workcell import make_learner, pick_device, prepare_torch
+from tasks import TaskError, make_task
+
+
+def main(descriptor: int) -> None:
+    """Be the learner.
+
+    Args:
+        descriptor: Of the socket to the run.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
+    threading.Thread(target=_end_with_the_run, args=(descriptor,), daemon=True).start()
+    connection = Connection(descriptor)
+    try:
+        _serve(connection)
+    except (UserError, DriverError, TaskError) as error:
+        send_message(connection, {"kind": "failed", "sentence": str(error)})
+
+
+def _end_with_the_run(descriptor: int) -> None:
+    """End at once, in the middle of learning too, when the run is gone."""
+    hangup = select.poll()
+    hangup.register(descriptor, 0)  # no event but that the other side is gone
+    hangup.poll()
+    os._exit(1)
+
+
+def _serve(connection: Connection) -> None:
+    begin = receive_message(connection)
+    config = RunConfig.model_validate_json(begin["config"])
+    prepare_torch(config)
+    task = make_task(config.task).bind(read_spec(begin["spec"]))
+    learner = make_learner(config, task, pick_device(config.device))
+
+    def progress(phase: str, done: int, total: int) -> None:
+        # Never waited for: the run looks only between two episodes.
+        if select.select([], [connection], [], 0.0)[1]:
+            send_message(
+                connection, {"kind": "progress", "phase": phase, "done": done, "total": total}
+            )
+
+    with ExitStack() as stack:
+        simulator = None
+        if begin["simulated"]:
+            simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
+        if begin["state"] is not None:
+            finished = (
+                unpack_episodes(receive_message(connection)["episodes"])
+                for _ in range(begin["epochs"])
+            )
+            learner.load_state_dict(begin["state"], finished)
+        while True:
+            order = receive_message(connection)
+            metrics = learn_epoch(
+                learner,
+                unpack_episodes(order["episodes"]),
+                config,
+                simulator if order["evaluate"] else None,
+                progress,
+            )
+            send_message(connection, _learned(metrics, learner.state_dict()))
+
+
+def _learned(metrics: Mapping[str, Any], state: dict[str, Any]) -> Message:
+    # NumPy's numbers would be objects, which nobody reads.
+    plain = {key: v.item() if hasattr(v, "item") else v for key, v in metrics.items()}
+    return {"kind": "learned", "metrics": plain, "state": state}
