@@ -103,7 +103,7 @@ def look_into(folder: Path, scratch: Path) -> Found:
             with EpisodeStore(copy / "episodes") as store:
                 settled = _settled(copy / "ledger.sqlite")
                 for episode in store:
-                    _add(found, episode, settled[episode.entry])
+                    _add(found, episode, settled.get(episode.entry))
         load_checkpoint(copy / "checkpoint.pt")
         if (copy / "policy.pt").exists():
             load_actor(copy / "policy.pt")
@@ -140,7 +140,7 @@ def _settled(ledger: Path) -> dict[int, int]:
         return dict(database.execute(query).fetchall())
 
 
-def _add(found: Found, episode: StoredEpisode, charged: int) -> None:
+def _add(found: Found, episode: StoredEpisode, charged: int | None) -> None:
     for seq, elapsed, valid in zip(
         episode.seqs.tolist(), episode.elapsed.tolist(), episode.episode.valid, strict=True
     ):
@@ -148,6 +148,8 @@ def _add(found: Found, episode: StoredEpisode, charged: int) -> None:
         found.unseen += elapsed - 1
         if valid:
             found.valid.add(seq)
+    if charged is None:  # the whole reservation counts
+        return
     beyond = charged - int(episode.elapsed.sum())
     if beyond < 0:
         raise Violation(f"episode {episode.index} is charged {charged} ticks and has more")
