@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import numpy as np
 
 from drivers import RobotDriver
@@ -51,3 +53,23 @@ class TickJitter:
             "tick_jitter_p99_ms": float(p99),
             "ticks_missed": missed,
         }
+
+
+def describe_jitter(rows: Iterable[Mapping[str, float]]) -> str:
+    """How evenly the ticks of a run came, in words.
+
+    Args:
+        rows: Metrics of its epochs.
+
+    Returns:
+        One sentence, empty where no tick was measured.
+    """
+    measured = [row for row in rows if "tick_jitter_p99_ms" in row]
+    if not measured:
+        return ""
+    p50, p99 = ([row[f"tick_jitter_{name}_ms"] for row in measured] for name in ("p50", "p99"))
+    missed = sum(round(row["ticks_missed"]) for row in measured)
+    return (
+        f"off the control period by {np.median(p50):.2f} ms in the median and {max(p99):.2f} ms at "
+        f"the 99th percentile of the worst epoch, {missed:,} missed"
+    )

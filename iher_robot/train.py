@@ -26,6 +26,7 @@ from iher_robot.ledger import Ledger
 from iher_robot.policy_fit import load_actor
 from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
+from iher_robot.tick_jitter import describe_jitter
 from iher_robot.training_run import TrainingRun
 from iher_robot.video import require_film
 from iher_robot.warm_start import check_sources, copy_sources
@@ -49,6 +50,7 @@ class TrainResult:
         plot: The plot of success against robot minutes.
         robot: The robot of the run.
         video: The film of the final policy, if there is one.
+        ticks: How evenly the control ticks came, in words; empty in simulation.
     """
 
     directory: Path
@@ -62,11 +64,13 @@ class TrainResult:
     plot: Path
     robot: ChosenRobot
     video: Path | None
+    ticks: str
 
     def summary(self) -> str:
         """The result in a few lines."""
         epochs = "epoch" if self.epochs == 1 else "epochs"
         wall = datetime.timedelta(seconds=round(self.wall_seconds))
+        ticks = f"ticks   {self.ticks}\n" if self.ticks else ""
         film = "" if self.video is None else f"video   {self.video}\n"
         if self.final is None:
             result = f"{self.success_rate:.0%} success in the last evaluation"
@@ -78,6 +82,7 @@ class TrainResult:
             f"{self.epochs} {epochs}, {wall} of wall clock\n"
             f"policy  {self.policy}\n"
             f"plot    {self.plot}\n"
+            f"{ticks}"
             f"{film}"
             f"check   iher-robot evaluate {shlex.quote(str(self.policy))} --episodes 100"
             f"{self.robot.command_options}"
@@ -196,24 +201,28 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
             cell.env.ask_human = partial(_ask, operator, shown)
         shown.announce(cell.meaning_of_budget(budget.budget_ticks, budget.spent_ticks))
         try:
-            last = TrainingRun(cell, directory, ledger, store, shown, writer, provenance).run()
+            run = TrainingRun(cell, directory, ledger, store, shown, writer, provenance)
+            last = run.run()
         except KeyboardInterrupt as error:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
+        # Beside the robot an epoch was collected that is not in the last row.
+        spent_minutes = cell.minutes_of(budget.spent_ticks)
     final = _final_evaluation(cell, directory, video=video)
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
         success_rate=last["success"],
         final=final,
-        robot_minutes=last["robot_minutes"],
+        robot_minutes=spent_minutes,
         budget_minutes=minutes,
         wall_seconds=last["wall_seconds"],
         epochs=int(last["epoch"]),
         plot=directory.plot_path,
         robot=config.chosen_robot,
         video=None if final is None else final.video,
+        ticks=describe_jitter(run.rows),
     )
 
 
