@@ -95,7 +95,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
     outcome = run(
         *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
         *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
-        *"--until-success 0.9 --device cpu --quiet --robot worn --video".split(),
+        *"--until-success 0.9 --device cpu --async --quiet --robot worn --video".split(),
         *"--connect tcp/10.0.0.7:7447 --connect tls/arm:7447 --from-data a --from-data b".split(),
     )
 
@@ -113,6 +113,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         "out": Path("there"),
         "until_success": 0.9,
         "device": "cpu",
+        "asynchronous": True,
         "display": False,
         "video": True,
         "from_data": ["a", "b"],
