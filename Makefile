@@ -5,6 +5,7 @@
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine, with medians (bench/throughput.py)
 # make bench-link                     round trips and ticks of a served robot (bench/link.py)
+# make bench-async                    wall clock to a solved task on a served robot (bench/asynchronous.py)
 # make bench-memory                   memory of the learner, full and over many epochs (bench/memory.py)
 # make bench-journal                  what keeping every tick costs (bench/journal.py)
 # make faults                         100 kills of learners, each checked (python -m tests.faults)
@@ -21,7 +22,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench bench-link bench-memory bench-journal faults format clean
+.PHONY: train install test check bench bench-link bench-async bench-memory bench-journal faults format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -45,6 +46,9 @@ bench: .venv/dev
 
 bench-link: .venv/dev
 	$(BIN)/python bench/link.py $(ARGS)
+
+bench-async: .venv/dev
+	OMP_NUM_THREADS=1 $(BIN)/python bench/asynchronous.py $(ARGS)
 
 bench-memory: .venv/dev
 	OMP_NUM_THREADS=1 $(BIN)/python bench/memory.py $(ARGS)
