@@ -18,6 +18,7 @@ import yaml
 
 from iher_robot.evaluate import evaluate
 from iher_robot.plot import plot_success
+from iher_robot.provenance import read_provenance
 from iher_robot.run_directory import RunDirectory
 
 
@@ -25,11 +26,13 @@ def read_run(path: Path) -> dict[str, Any]:
     """Everything of a run that is kept."""
     run = RunDirectory.open(path)
     rows = run.read_metrics()
-    provenance = json.loads(run.provenance_path.read_text())
+    provenance = read_provenance(run.provenance_path)
+    config = yaml.safe_load(run.config_path.read_text())
+    config["from_data"] = [Path(folder).name for folder in config["from_data"]]
     return provenance | {
         "command": " ".join(["iher-robot", *provenance["command"][1:]]),
         "wall_seconds": rows[-1]["wall_seconds"],
-        "config": yaml.safe_load(run.config_path.read_text()),
+        "config": config,
         "epochs": rows,
     }
 
