@@ -109,5 +109,11 @@ class LearnerBeside(RunLearner):
         return True
 
     def _act_as(self, state: dict[str, Any]) -> None:
-        self.learner.load_state_dict(state, ())
+        # Streams of another device do not fit here, and nothing that acts draws from them.
+        ours = {"generator": self.learner.generator.get_state()}
+        if self.learner.contact is not None:
+            ours["contact"] = state["contact"] | {
+                "generator": self.learner.contact.generator.get_state()
+            }
+        self.learner.load_state_dict(state | ours, ())
         self._state = state

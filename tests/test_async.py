@@ -21,14 +21,18 @@ import torch
 
 import iher_robot.learner_process
 import iher_robot.workcell
-from iher_robot.config import read_config
+from iher_robot.config import load_config, read_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeReader
 from iher_robot.errors import UserError
+from iher_robot.learner_beside import LearnerBeside
+from iher_robot.learner_process import LearnerProcess
 from iher_robot.ledger import Ledger
+from iher_robot.restore import Restored
 from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.train import resume, train
+from iher_robot.workcell import make_learner, open_workcell
 from tests.remote.served import PATIENT, ServedRobot, eventually, is_running
 from tests.small_runs import TINY, interruption, metrics, motion_ticks, run, stored_ticks
 
@@ -259,6 +263,30 @@ def test_an_interrupt_ends_the_learner(tmp_path: Path) -> None:
     assert process.returncode == 143
     assert printed.startswith("iher-robot: interrupted; continue with: iher-robot train --resume")
     assert not [child for child in children.split() if is_running(int(child))]
+
+
+def test_what_a_learner_on_another_device_made_acts_and_is_kept_whole(tmp_path: Path) -> None:
+    class Silent(LearnerProcess):
+        def start(self) -> None:
+            pass
+
+        def send(self, message: object) -> None:
+            pass
+
+    options = {"device": "cpu", "asynchronous": True}
+    with open_workcell(load_config("push", "default", "iher", [], options)) as cell:
+        there = make_learner(cell.config, cell.env.task, torch.device("cpu"))
+        there.epoch = 7
+        with torch.no_grad():
+            there.policy.actor[0].weight.add_(1.0)  # type: ignore[index]
+        state = there.state_dict()
+        state["generator"] = state["contact"]["generator"] = torch.zeros(16, dtype=torch.uint8)
+        beside = LearnerBeside(cell, Silent(tmp_path), lambda *_: None)
+        beside.begin(Restored(state, [], [], [], 0))
+        acts = beside.learner.policy.snapshot()["actor"]
+        assert beside.learner.epoch == 7
+        assert torch.equal(acts["0.weight"], state["policy"]["actor"]["0.weight"])
+        assert beside.state_dict() is state
 
 
 @pytest.mark.real_time
