@@ -21,7 +21,9 @@ KINDS = (
     Kind.CHECKPOINT,
     Kind.EPISODE,
 )
-_BUDGET_MINUTES = "0.1"
+_BUDGET_MINUTES = "0.06"
+_SEED = "111"
+"""Its moments come early, and within one run."""
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the harness found; it ends with 1 at the first violation."""
     folder = tmp_path_factory.mktemp("faults")
     out = folder / "faults.json"
-    command = [sys.executable, "-m", "tests.faults", "--kills", str(len(KINDS)), "--seed", "0"]
+    command = [sys.executable, "-m", "tests.faults", "--kills", str(len(KINDS)), "--seed", _SEED]
     command += [word for kind in KINDS for word in ("--only", kind.name)]
     command += ["--budget-minutes", _BUDGET_MINUTES, "--folder", str(folder), "--out", str(out)]
     root = Path(__file__).parents[2]
@@ -44,7 +46,7 @@ def test_runs_that_are_killed_lose_no_tick_and_finish(report: dict[str, Any]) ->
     kills = report["kills in all"]
     assert kills == len(KINDS) - len(report["not run"])
     assert report["runs finished"] >= 1
-    assert report["ticks with a command in force"] >= 150
+    assert report["ticks with a command in force"] >= 90
     assert report["of these in flight at a kill, in no episode"] <= kills
     assert report["worst over-count of a ledger, ticks"] <= kills
 
