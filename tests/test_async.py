@@ -20,6 +20,7 @@ import pytest
 import torch
 
 import iher_robot.learner_process
+import iher_robot.training_run
 import iher_robot.workcell
 from iher_robot.config import load_config, read_config
 from iher_robot.display import TrainingDisplay
@@ -28,7 +29,9 @@ from iher_robot.episode_store import EpisodeReader
 from iher_robot.errors import UserError
 from iher_robot.learner_beside import LearnerBeside
 from iher_robot.learner_process import LearnerProcess
+from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Ledger
+from iher_robot.policy_file import PolicyFile, save_policy
 from iher_robot.restore import Restored
 from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.train import resume, train
@@ -44,9 +47,12 @@ FAILS = "raise RuntimeError('a mistake')"
 KILLED = """
 import os, signal, sys
 from pathlib import Path
+import pytest
 from iher_robot.env import GoalRobotEnv
 from tests.small_runs import run
+from tests.test_async import _patch_learner
 
+_patch_learner(pytest.MonkeyPatch(), "time.sleep(60)")
 original, calls = GoalRobotEnv._run_tick, 0
 
 def killed(*args):
@@ -88,21 +94,25 @@ Learner.learn = learn
 
 @contextmanager
 def acting_epochs() -> Iterator[list[tuple[int, int]]]:
-    """Note the epoch of each episode and the epoch after which the policy was as it acts there."""
+    """Note the epoch of each episode, and the epoch after which the policy was as it acts in it."""
     noted: list[tuple[int, int]] = []
-    original = RobotEpisodes.run
-    acts = [0]
+    made: dict[float, int] = {}
+    run_one = RobotEpisodes.run
 
-    def noting(self: RobotEpisodes, *args: Any, epoch: int, **options: Any) -> Any:
-        noted.append((epoch, acts[0]))
-        return original(self, *args, epoch=epoch, **options)
+    def sign(snapshot: dict[str, Any]) -> float:
+        return float(sum(weight.double().sum() for weight in snapshot["actor"].values()))
 
-    def finished(self: TrainingDisplay, row: Any) -> None:
-        acts[0] = int(row["epoch"])
+    def noting(self: RobotEpisodes, account: Any, reserve: Any, policy: Policy, **more: Any) -> Any:
+        noted.append((more["epoch"], made.get(sign(policy.snapshot()), 0)))
+        return run_one(self, account, reserve, policy, **more)
+
+    def saving(path: Path, file: PolicyFile) -> None:
+        made[sign(file.policy)] = file.trained["epochs"]
+        save_policy(path, file)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RobotEpisodes, "run", noting)
-        patch.setattr(TrainingDisplay, "epoch", finished)
+        patch.setattr(iher_robot.training_run, "save_policy", saving)
         yield noted
 
 
