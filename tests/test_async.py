@@ -103,11 +103,12 @@ def acting_epochs() -> Iterator[list[tuple[int, int]]]:
         return float(sum(weight.double().sum() for weight in snapshot["actor"].values()))
 
     def noting(self: RobotEpisodes, account: Any, reserve: Any, policy: Policy, **more: Any) -> Any:
-        noted.append((more["epoch"], made.get(sign(policy.snapshot()), 0)))
+        acts = made.setdefault(sign(policy.snapshot()), 0)
+        noted.append((more["epoch"], acts))
         return run_one(self, account, reserve, policy, **more)
 
     def saving(path: Path, file: PolicyFile) -> None:
-        made[sign(file.policy)] = file.trained["epochs"]
+        made.setdefault(sign(file.policy), file.trained["epochs"])
         save_policy(path, file)
 
     with pytest.MonkeyPatch.context() as patch:
