@@ -44,7 +44,7 @@ class Keeping:
         return KeptRecorder(
             self._env,
             self._store,
-            partial(self._ledger.reserve, "motion", TICKS),
+            partial(self._ledger.reserve, "motion", TICKS, counted=True),
             self._ledger,
             lambda told, entry: EpisodeHeader(1, told, "motion", seed, entry),
         )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -64,6 +63,10 @@ class Accounts:
     last: int = 0
     seal: bytes = b""
 
+    def copy(self) -> Accounts:
+        """The same, to be changed without changing this one."""
+        return replace(self, spent=dict(self.spent), open=dict(self.open))
+
     def next_row(
         self, kind: Kind, account: Account, reservation: int | None, ticks: int
     ) -> tuple[Any, ...]:
@@ -101,9 +104,8 @@ def add_up(database: Database, newest: int = 0) -> Accounts:
         UserError: An entry is damaged or missing.
     """
     accounts = Accounts()
-    rows: Iterable[tuple[Any, ...]] = database.rows("SELECT * FROM entry ORDER BY id")
     try:
-        for row in rows:
+        for row in database.each_row("SELECT * FROM entry ORDER BY id"):
             accounts.take(row)
     except (ValueError, LookupError, TypeError) as error:
         raise UserError(f"{database.path} is damaged: {error}") from error

@@ -43,7 +43,7 @@ class Budget:
         return max(0, self.budget_ticks - self.spent_ticks)
 
     @contextmanager
-    def reserve(self, ticks: int) -> Iterator[Entry]:
+    def reserve(self, ticks: int, *, counted: bool = False) -> Iterator[Entry]:
         """Reserve ticks of motion, see ``Ledger.reserve``.
 
         Raises:
@@ -52,7 +52,7 @@ class Budget:
         remaining = self.remaining_ticks
         if ticks > remaining:
             raise BudgetError(f"{ticks} ticks asked for, {remaining} remain in the budget")
-        with self.ledger.reserve("motion", ticks) as entry:
+        with self.ledger.reserve("motion", ticks, counted=counted) as entry:
             yield entry
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import msgpack  # type: ignore[import-untyped]  # it ships neither types nor stubs
 
 from drivers.closing import Closing
+from iher_robot.durable_file import TEMPORARY_SUFFIX, sync_directory
 from iher_robot.errors import UserError
 
 
@@ -51,8 +52,11 @@ class Database(Closing):
     def __init__(self, path: Path, form: Format, *, read_only: bool = False) -> None:
         self.path = path
         self._form = form
-        if read_only and not path.is_file():
-            raise UserError(f"there is no {form.kind} at {path}")
+        if not path.exists():
+            if read_only:
+                raise UserError(f"there is no {form.kind} at {path}")
+            with self._explained("make"):
+                _create(path, form)
         with self._explained("open"):
             self._connection = sqlite3.connect(
                 f"{path.resolve().as_uri()}?{_mode(path, read_only)}",
@@ -96,11 +100,30 @@ class Database(Closing):
         with self._explained("read"):
             return self._connection.execute(statement, values).fetchall()
 
+    def each_row(self, statement: str) -> Iterator[tuple[Any, ...]]:
+        """Return one after the other what a query finds, which may be much.
+
+        Raises:
+            UserError: The file cannot be read, or is damaged.
+        """
+        with self._explained("read"):
+            yield from self._connection.execute(statement)
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Read everything in the block as it was at one moment."""
+        self.execute("BEGIN")
+        try:
+            yield
+        finally:
+            if self._connection.in_transaction:
+                self._connection.execute("ROLLBACK")
+
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """Write all of what the block does, or nothing."""
-        self.execute("BEGIN IMMEDIATE")
         try:
+            self.execute("BEGIN IMMEDIATE")
             yield
             self.execute("COMMIT")
         except BaseException:
@@ -116,9 +139,7 @@ class Database(Closing):
         execute = self._connection.execute
         execute("PRAGMA trusted_schema = OFF")
         execute("PRAGMA foreign_keys = ON")
-        if not read_only:
-            execute("PRAGMA synchronous = FULL")
-            self._create_if_empty(execute)
+        execute("PRAGMA synchronous = FULL")
         found = (_number(execute, "application_id"), _number(execute, "user_version"))
         if found[0] != self._form.application_id:
             raise UserError(f"{self.path} is no {self._form.kind} of iher-robot")
@@ -135,22 +156,14 @@ class Database(Closing):
         if not read_only:  # last: another program's file is left as it is
             execute("PRAGMA journal_mode = WAL")
 
-    def _create_if_empty(self, execute: Callable[..., sqlite3.Cursor]) -> None:
-        execute("BEGIN IMMEDIATE")
-        (tables,) = execute("SELECT COUNT(*) FROM sqlite_schema").fetchone()
-        if tables == 0 and _number(execute, "application_id") == 0:
-            for statement in self._form.schema:
-                execute(statement)
-            execute(f"PRAGMA application_id = {self._form.application_id}")
-            execute(f"PRAGMA user_version = {self._form.version}")
-        execute("COMMIT")
-
     @contextmanager
     def _explained(self, doing: str) -> Iterator[None]:
         try:
             yield
         except sqlite3.IntegrityError:
             raise
+        except OSError as error:
+            raise UserError(f"cannot {doing} {self.path}: {error.strerror}") from error
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter in SQLite's own messages
             primary = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
             if primary == sqlite3.SQLITE_FULL:
@@ -161,9 +174,28 @@ class Database(Closing):
             raise UserError(f"cannot {doing} {self.path}: {error}") from error
 
 
+def _create(path: Path, form: Format) -> None:
+    """Make a database under another name first: an empty file is then never a new one."""
+    unfinished = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+    unfinished.unlink(missing_ok=True)
+    connection = sqlite3.connect(unfinished, isolation_level=None)
+    try:
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN IMMEDIATE")
+        for statement in form.schema:
+            connection.execute(statement)
+        connection.execute(f"PRAGMA application_id = {form.application_id}")
+        connection.execute(f"PRAGMA user_version = {form.version}")
+        connection.execute("COMMIT")
+    finally:
+        connection.close()
+    unfinished.replace(path)
+    sync_directory(path.parent)
+
+
 def _mode(path: Path, read_only: bool) -> str:
     if not read_only:
-        return "mode=rwc"
+        return "mode=rw"
     logged = path.with_name(f"{path.name}-wal").exists()
     # To read beside a writer takes a file of shared memory, which one may not be allowed to make.
     return "mode=ro" if logged or os.access(path.parent, os.W_OK) else "immutable=1"

@@ -63,7 +63,7 @@ class KeptEpisodes(Closing):
         return KeptRecorder(
             self._env,
             self._store,
-            partial(self._ledger.reserve, "deployment", ticks),
+            partial(self._ledger.reserve, "deployment", ticks, counted=True),
             self._ledger,
             lambda told, entry: EpisodeHeader(0, told, "deployment", seed, entry),
         )

@@ -98,8 +98,9 @@ class EpisodeIndex(Closing):
         self._database = Database(path, INDEX, read_only=read_only)
         self._kind: np.dtype[np.void] | None = None
         try:
-            self.digests = self._read_digests()
-            self.running = self._read_running()
+            with self._database.snapshot():
+                self.digests = self._read_digests()
+                self.running = self._read_running()
         except BaseException:
             self.close()
             raise

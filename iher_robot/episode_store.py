@@ -81,8 +81,9 @@ class EpisodeReader(Closing):
         if not 0 <= index < len(self):
             raise IndexError(f"episode {index} of {len(self)}")
         path = self.path(index)
-        stored = read_episode(path, index)
-        if _digest(read_file(path, "episode file")) != self._index.digests[index]:
+        sealed = read_file(path, "episode file")
+        stored = read_episode(path, sealed, index)
+        if _digest(sealed) != self._index.digests[index]:
             raise UserError(f"{path} is not the file that was stored; put that one back")
         return stored
 
@@ -100,7 +101,10 @@ class EpisodeReader(Closing):
         for index in range(len(self)):
             if self.path(index).name not in names:
                 raise UserError(f"{self.path(index)} is missing; put it back")
-        # One more may have been sealed just before a crash, or be sealed at this moment.
+
+    def _check_newer_names(self) -> None:
+        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
+        # One more may have been sealed just before a crash.
         if names - {self.path(index).name for index in range(len(self) + 1)}:
             raise UserError(
                 f"{self.directory / _INDEX} knows {len(self)} episodes, but there are files of "
@@ -222,16 +226,25 @@ class EpisodeStore(EpisodeReader):
 
     def _recover(self) -> int | None:
         self._require_newest()
-        ended = CUT_OFF
-        beyond = self.path(len(self))
-        if beyond.exists():
-            if self.running is None:
-                raise UserError(
-                    f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index "
-                    "back"
-                )
-            ended = read_episode(beyond, len(self)).ended  # it was sealed, and only not indexed
-        return self.seal(ended)
+        self._check_newer_names()
+        running, beyond = self.running, self.path(len(self))
+        if not beyond.exists():
+            return self.seal(CUT_OFF)
+        # It was sealed, and only not indexed; its last tick may have had no room in the journal.
+        sealed = read_file(beyond, "episode file")
+        stored = None if running is None else read_episode(beyond, sealed, len(self))
+        if (
+            running is None
+            or stored is None
+            or stored.header != running.header
+            or len(stored.episode) < len(running.ticks)
+        ):
+            raise UserError(
+                f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index back"
+            )
+        self._index.add(_digest(sealed))
+        self._note()
+        return stored.index
 
     def _require_newest(self) -> None:
         """Check that the index still has all that its last writer had noted."""

@@ -7,7 +7,10 @@ from contextlib import ExitStack
 from drivers import RobotDriver
 from iher_robot.ledger import Entry, Ledger
 
-_AHEAD_S = 1.0
+_AHEAD_S = 10.0
+"""How much more waiting is noted than has passed."""
+_RESERVED_S = 60.0
+"""How much is written down at once."""
 
 
 class IdleMeter:
@@ -30,14 +33,22 @@ class IdleMeter:
         """The robot waits from now on."""
         if self._driver.paces_itself and self._entry is None:
             self._since_ns = self._driver.now_ns
-            ahead = round(_AHEAD_S * 1e9 / self._period_ns)
-            self._entry = self._stack.enter_context(self._ledger.reserve("idle", max(1, ahead)))
+            reserved = max(1, round(_RESERVED_S * 1e9 / self._period_ns))
+            self._entry = self._stack.enter_context(
+                self._ledger.reserve("idle", reserved, counted=True)
+            )
+            self.note()
 
     def note(self) -> None:
-        """Note how long it has waited, and a second ahead; a crash leaves that counted."""
-        if self._entry is not None:
-            ahead = round(_AHEAD_S * 1e9 / self._period_ns)
-            self._entry.begin(self._ticks() + ahead)
+        """Note how long it has waited, and some time ahead; a crash leaves that counted."""
+        if self._entry is None:
+            return
+        noted = self._ticks() + round(_AHEAD_S * 1e9 / self._period_ns)
+        if noted > self._entry.reserved_ticks:
+            self.end()
+            self.begin()
+        else:
+            self._entry.begin(noted)
 
     def end(self) -> None:
         """It waits no longer."""

@@ -54,18 +54,20 @@ class KeptRecorder(Recorder):
 
     def __enter__(self) -> KeptRecorder:
         self._entry = self._stack.enter_context(self._reserve())
-        self._entry.begin(0)
         ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
         self._reset: Entry | None = self._stack.enter_context(self._ledger.reserve("reset", ahead))
         self._reset_begun_ns = self._driver.now_ns
         return self
 
     def __exit__(self, *_: object) -> None:
+        error = sys.exception()
+        ended = self.aborted or (DONE if error is None else describe(error))
         with self._stack:
-            self._settle_reset()
-            error = sys.exception()
-            self._store.seal(self.aborted or (DONE if error is None else describe(error)))
-            self._entry.settle(self.ticks)  # last: a failure before it leaves what had begun
+            try:
+                self._settle_reset()
+            finally:
+                self._store.seal(ended)
+                self._entry.settle(self.ticks)  # last: a failure before it leaves what had begun
 
     def start(self, observation: Observation) -> None:
         """Take the observation of a reset."""
@@ -88,7 +90,7 @@ class KeptRecorder(Recorder):
         self._store.record(tick)
 
     def _settle_reset(self) -> None:
-        if self._reset is not None:
+        entry, self._reset = self._reset, None  # not a second time, if the first is interrupted
+        if entry is not None:
             elapsed_ns = self._driver.now_ns - self._reset_begun_ns
-            self._reset.settle(-(-elapsed_ns // self._period_ns))
-            self._reset = None
+            entry.settle(-(-elapsed_ns // self._period_ns))

@@ -91,7 +91,8 @@ class Ledger(Closing):
             f"ledger {path} is in use: another run works in this folder, wait for it to end or "
             "stop it",
         )
-        self._begun: dict[str, int] = {}
+        # What an earlier holder noted stays noted until it is settled, whatever comes between.
+        self._begun: dict[str, int] = dict(self._lock.note.get("begun", {}))
         try:
             self._database = Database(path, LEDGER)
         except BaseException:
@@ -120,12 +121,14 @@ class Ledger(Closing):
         return self._accounts.granted_ticks
 
     @contextmanager
-    def reserve(self, account: Account, ticks: int) -> Iterator[Entry]:
+    def reserve(self, account: Account, ticks: int, *, counted: bool = False) -> Iterator[Entry]:
         """Write down ticks before they are used; settle inside the block.
 
         Args:
             account: What they are for.
             ticks: The most that will be used, at least one.
+            counted: Whether ``Entry.begin`` is told before each of them: until it is, none counts
+                after a crash of this program.
 
         Yields:
             The entry to settle. If it is not, by an exception or a crash, it counts in full, or
@@ -135,6 +138,11 @@ class Ledger(Closing):
             raise ValueError(f"unknown account {account!r}, valid: {', '.join(ACCOUNTS)}")
         if ticks < 1:
             raise ValueError(f"reserved ticks must be >= 1, not {ticks}")
+        self._take_new_entries()
+        if counted:
+            self._note_begun(self._accounts.last + 1, 0)  # first: its number is known
+        else:
+            self._begun.pop(str(self._accounts.last + 1), None)  # of one that was never written
         number = self._append("reserve", account, None, int(ticks))
         yield Entry(number, int(ticks), self._note_begun, self.settle)
 
@@ -144,6 +152,7 @@ class Ledger(Closing):
         Raises:
             ValueError: It is settled already.
         """
+        self._take_new_entries()  # an interrupt may have come before the last one was taken
         if number not in self._accounts.open:
             raise ValueError(f"entry {number} of the ledger is settled already")
         self._append("settle", self._accounts.open[number][0], number, int(ticks))
@@ -173,6 +182,8 @@ class Ledger(Closing):
             begun = begun_ticks(note, number)
             if begun is not None:
                 self.settle(number, begun)
+        # Of a reservation that was noted and never written nothing may be left for its successor.
+        self._begun = {}
         self._note()
 
     def _append(self, kind: Kind, account: Account, reservation: int | None, ticks: int) -> int:
@@ -186,8 +197,12 @@ class Ledger(Closing):
 
     def _take_new_entries(self) -> None:
         query = "SELECT * FROM entry WHERE id > ? ORDER BY id"
-        for row in self._database.rows(query, (self._accounts.last,)):
-            self._accounts.take(row)
+        rows = self._database.rows(query, (self._accounts.last,))
+        if rows:
+            accounts = self._accounts.copy()  # an interrupt finds all of it taken, or nothing
+            for row in rows:
+                accounts.take(row)
+            self._accounts = accounts
 
     def _note_begun(self, number: int, ticks: int) -> None:
         self._begun[str(number)] = ticks

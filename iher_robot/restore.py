@@ -9,7 +9,7 @@ from typing import Any
 from iher_robot.accounts import Account
 from iher_robot.checkpoint import load_checkpoint
 from iher_robot.config import RunConfig, dump_config
-from iher_robot.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.ledger import Ledger
@@ -114,10 +114,12 @@ def _settle(stored: StoredEpisode, store: EpisodeStore, ledger: Ledger) -> None:
     """
     if stored.entry not in ledger.open_reservations:
         return
-    if stored.index == store.recovered and not store.durable_ticks:
-        return  # its last ticks may be lost: the whole reservation counts
     used = int(stored.elapsed.sum())
-    ledger.settle(stored.entry, used if stored.ended == DONE else used + 1)
+    if stored.ended == DONE:
+        ledger.settle(stored.entry, used)
+    elif stored.ended == CUT_OFF and store.durable_ticks:
+        ledger.settle(stored.entry, used + 1)
+    # Else its last ticks may be lost, or not be recorded: the whole reservation counts, for good.
 
 
 def _check_ledger(ledger: Ledger, spent: dict[Account, int], newest_entry: int) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from drivers.closing import Closing
 from iher_robot.accounts import Account, read_accounts
 from iher_robot.config import RunConfig, read_config
+from iher_robot.durable_file import read_file
 from iher_robot.episode_store import EpisodeReader
 from iher_robot.errors import UserError
 from iher_robot.interface_file import read_interface
@@ -176,7 +177,12 @@ def examine_store(directory: Path) -> Iterator[StoredEpisode | UserError]:
     except UserError as error:
         yield error
         paths = {_number(path): path for path in directory.glob("episode-*.npz")}
-        yield from _each(sorted(paths), lambda index: read_episode(paths[index], index))
+        yield from _each(
+            sorted(paths),
+            lambda index: read_episode(
+                paths[index], read_file(paths[index], "episode file"), index
+            ),
+        )
         return
     with reader:
         yield from _each(range(len(reader)), reader.load)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iher_robot.accounts import ACCOUNTS, Account
-from iher_robot.durable_file import check_seal, read_file, seal_zip
+from iher_robot.durable_file import check_seal, seal_zip
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 
@@ -203,17 +203,17 @@ def make_episode(
     )
 
 
-def read_episode(path: Path, index: int) -> StoredEpisode:
-    """Read an episode's file and check that every byte is as it was written.
+def read_episode(path: Path, sealed: bytes, index: int) -> StoredEpisode:
+    """Read an episode and check that every byte is as it was written.
 
     Args:
-        path: The file.
+        path: Its file.
+        sealed: What is in it.
         index: Place in the store that it should be of.
 
     Raises:
-        UserError: The file is missing, truncated, damaged, or another episode's.
+        UserError: It is truncated, damaged, or another episode's.
     """
-    sealed = read_file(path, "episode file")
     check_seal(sealed, path, "episode file")
     try:
         with np.load(io.BytesIO(sealed), allow_pickle=False) as file:

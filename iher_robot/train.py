@@ -190,7 +190,8 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
         budget = Budget(ledger, cell.budget_ticks)
         minutes = cell.minutes_of(budget.budget_ticks)
         keep_interface(directory.episodes_path, cell.env.policy_interface())
-        copy_sources(config.from_data, directory.warm_start_path)
+        if not directory.checkpoint_path.exists():  # later another copy would be another run
+            copy_sources(config.from_data, directory.warm_start_path)
         durable = cell.simulator is None  # a robot that somebody waits for: each tick is kept
         store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
         writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))

@@ -87,6 +87,7 @@ class TrainingRun:
         self.collected = 0
         self.pending: list[CollectedEpoch] = []
         self.seconds_before = 0.0
+        self._granted_at = 0
         self.started = time.monotonic()
 
     def _make_learning(self) -> RunLearner:
@@ -120,6 +121,8 @@ class TrainingRun:
         self.rows = restored.rows
         self.pending = restored.pending
         self.collected = restored.collected
+        if self.ledger.granted_ticks:
+            self._granted_at = len(self.rows)  # what was granted is to be spent, success or not
         self.learning.begin(restored)
         if self.rows:
             self.seconds_before = self.rows[-1]["wall_seconds"]
@@ -136,7 +139,7 @@ class TrainingRun:
         write_provenance(self.directory.provenance_path, self.provenance)
 
     def _done(self) -> bool:
-        rates = [row["success"] for row in self.rows if "success" in row][-2:]
+        rates = [row["success"] for row in self.rows[self._granted_at :] if "success" in row][-2:]
         wanted = self.config.until_success
         if wanted is not None and len(rates) == 2 and min(rates) >= wanted:
             return True
@@ -177,7 +180,7 @@ class TrainingRun:
             ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
             recorder = self.episodes.run(
                 "motion",
-                partial(self.budget.reserve, ticks),
+                partial(self.budget.reserve, ticks, counted=True),
                 policy,
                 epoch=epoch.number,
                 seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
@@ -241,7 +244,7 @@ class TrainingRun:
         ticks = self.cell.env.task.episode_ticks
         recorder = self.episodes.run(
             "evaluation",
-            partial(self.ledger.reserve, "evaluation", ticks),
+            partial(self.ledger.reserve, "evaluation", ticks, counted=True),
             policy,
             epoch=self.learner.epoch,
             seed=seed,

@@ -50,6 +50,22 @@ def test_a_grant_is_spent_by_a_resumed_run_and_by_nothing_else(
     assert (after.budget_ticks, after.left_ticks, after.granted_ticks) == (130, 0, 30)
 
 
+def test_a_grant_is_spent_though_the_run_had_succeeded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    monkeypatch.setattr(
+        "iher_robot.run_learner.evaluate_learner", lambda *_, **__: {"success": 1.0}
+    )
+    run(out, 4 * EPOCH_MINUTES, until_success=0.5)
+    assert motion_ticks(out) == 200
+    resume(out, display=False)
+    assert motion_ticks(out) == 200, "it has succeeded"
+    grant(out, EPOCH_MINUTES)
+    resume(out, display=False)
+    assert motion_ticks(out) == 400, "until it succeeds twice again"
+
+
 def test_a_run_under_way_can_be_looked_at_and_not_changed(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -103,7 +103,7 @@ def forget_notes(out: Path) -> None:
 
 @pytest.mark.parametrize(
     ("durable", "count", "ended", "charged"),
-    [(True, 4, None, 5), (True, 6, "done", 6), (True, 6, "lost", 7), (False, 4, None, 50)],
+    [(True, 4, None, 5), (True, 6, "done", 6), (True, 6, "lost", 50), (False, 4, None, 50)],
 )
 def test_a_durable_journal_says_after_a_crash_of_the_machine_what_had_begun(
     tmp_path: Path, durable: bool, count: int, ended: str | None, charged: int
@@ -125,4 +125,10 @@ def test_a_durable_journal_says_after_a_crash_of_the_machine_what_had_begun(
         assert ledger.spent_ticks("motion") == 50
         restore(directory, CONFIG, store, ledger)
         assert ledger.spent_ticks("motion") == charged
+    with (
+        Ledger(directory.ledger_path) as ledger,
+        EpisodeStore(directory.episodes_path, durable_ticks=durable) as store,
+    ):
+        restore(directory, CONFIG, store, ledger)
+        assert ledger.spent_ticks("motion") == charged, "nothing is given back later"
     assert read_accounts(directory.ledger_path).spent["motion"] == charged

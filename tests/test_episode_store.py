@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import os
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from iher_robot import durable_file
+from iher_robot.database import Database
 from iher_robot.episode_index import EpisodeIndex
 from iher_robot.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
@@ -215,6 +217,43 @@ def test_a_reader_does_not_mind_a_writer(store: EpisodeStore) -> None:
         assert len(reader) == 3
     with EpisodeReader(store.directory) as reader:
         assert len(list(reader)) == 4
+
+
+def test_a_tick_that_had_no_room_in_the_journal_is_kept_if_its_episode_was_sealed(
+    store: EpisodeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(store, make_stored(3), 4)
+    with monkeypatch.context() as patch:
+        patch.setattr(Database, "execute", full)
+        with pytest.raises(OSError, match="No space"):
+            store.record(make_stored(3).ticks()[4])
+        with pytest.raises(OSError, match="No space"):
+            store.seal("lost")
+    crash(store)
+    with EpisodeStore(store.directory) as again:
+        assert_same(again.load(3), make_stored(3), 5)
+        assert again.load(3).ended == "lost"
+
+
+def test_a_reader_sees_one_moment_whatever_a_writer_does(store: EpisodeStore) -> None:
+    stop, problems = threading.Event(), []
+
+    def read() -> None:
+        try:
+            while not stop.is_set():
+                with EpisodeReader(store.directory) as reader:
+                    assert reader.running is None or reader.running.index == len(reader)
+        except UserError as error:
+            problems.append(error)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    for _ in range(60):
+        record(store, make_stored(3, length=2))
+        store.seal("done")
+    stop.set()
+    thread.join(30.0)
+    assert problems == []
 
 
 def test_a_second_writer_is_refused(store: EpisodeStore) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 import os
 import sqlite3
@@ -9,6 +11,8 @@ import subprocess
 import sys
 from fractions import Fraction
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -107,6 +111,97 @@ def test_a_ledger_can_be_read_while_a_run_writes_it(path: Path) -> None:
         assert ledger.spent_ticks("motion") == 50
     with pytest.raises(UserError, match="there is no ledger at"):
         read_accounts(path.with_name("absent.sqlite"))
+
+
+class Interruption(KeyboardInterrupt):
+    pass
+
+
+def test_an_interrupt_at_any_point_leaves_a_ledger_that_counts_what_had_begun(path: Path) -> None:
+    """Between any two lines of the ledger: what came before is counted, and it can go on."""
+    begun = lines = 0
+
+    def trace(frame: FrameType, event: str, _: object) -> Any:
+        nonlocal lines
+        if "iher_robot" not in frame.f_code.co_filename:
+            return None
+        if event == "line":
+            lines += 1
+            if lines == stop_at:
+                sys.settrace(None)
+                raise Interruption
+        return trace
+
+    for stop_at in itertools.count(1):
+        lines = begun = 0
+        path.unlink(missing_ok=True)
+        lock_path(path).unlink(missing_ok=True)
+        with Ledger(path) as ledger:
+            sys.settrace(trace)
+            try:
+                with ledger.reserve("motion", 50, counted=True) as entry:
+                    try:
+                        begun = 1
+                        entry.begin(1)
+                    finally:
+                        entry.settle(begun)
+            except Interruption:
+                with contextlib.suppress(Interruption), ledger.reserve("reset", 5) as another:
+                    another.settle(5)
+            else:
+                break
+            finally:
+                sys.settrace(None)
+        with Ledger(path) as again:
+            assert again.spent_ticks("motion") in {begun, 1}, stop_at
+            assert again.spent_ticks("reset") == 5
+    assert stop_at > 50
+
+
+def test_an_empty_file_is_a_lost_ledger_and_no_new_one(path: Path) -> None:
+    Ledger(path).close()
+    path.write_bytes(b"")
+    with pytest.raises(UserError, match=r"ledger\.sqlite is no ledger"):
+        Ledger(path)
+
+
+def test_a_recovery_that_is_cut_off_itself_forgets_nothing(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger = Ledger(path)
+    for account, ticks in (("motion", 3), ("idle", 7)):
+        with ledger.reserve(account, 500, counted=True) as entry:  # type: ignore[arg-type]
+            entry.begin(ticks)
+    ledger._database.close()
+    ledger._lock.close()
+    settle, calls = Ledger.settle, []
+
+    def cut_off(self: Ledger, number: int, ticks: int) -> None:
+        calls.append(number)
+        if len(calls) == 2:
+            raise Interruption
+        settle(self, number, ticks)
+
+    monkeypatch.setattr(Ledger, "settle", cut_off)
+    with pytest.raises(Interruption):
+        Ledger(path)
+    monkeypatch.undo()
+    with Ledger(path) as again:
+        assert (again.spent_ticks("motion"), again.spent_ticks("idle")) == (3, 7)
+
+
+def test_what_was_noted_and_never_written_is_nothing_of_the_next_reservation(path: Path) -> None:
+    ledger = Ledger(path)
+    ledger._note_begun(1, 0)
+    ledger._database.close()
+    ledger._lock.close()
+    ledger = Ledger(path)
+    with contextlib.suppress(Interruption), ledger.reserve("reset", 50):
+        raise Interruption
+    ledger._database.close()
+    ledger._lock.close()
+    with Ledger(path) as again:
+        assert again.spent_ticks("reset") == 50
 
 
 def test_a_ledger_of_somebody_else_can_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -123,8 +123,9 @@ class RobotTotal(Closing):
         entry = self._begun.get(account)
         if entry is None or self._used[account] == entry.reserved_ticks:
             self._settle(account)
-            entry = self._stack.enter_context(self._ledger.reserve(account, _RESERVED_TICKS))
-            entry.begin(0)
+            entry = self._stack.enter_context(
+                self._ledger.reserve(account, _RESERVED_TICKS, counted=True)
+            )
             self._begun[account], self._used[account] = entry, 0
 
     def tick(self, account: Account) -> None:

@@ -212,7 +212,7 @@ class RequestDesk:
                 self._desk.forget()
                 self._lease.heard()
                 after = self._robot.state()
-                entry.settle((after.stamp_ns - before) // period_ns)
+                entry.settle(-(-(after.stamp_ns - before) // period_ns))
         self.published(after.seq)
         if result.outcome is ResetOutcome.FAILED:
             log.warning("reset of %s failed: %s", self._robot.spec.name, result.message)
