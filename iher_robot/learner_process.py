@@ -51,9 +51,13 @@ class LearnerProcess(Closing):
         self._connection = Connection(ours.detach())
         with its:
             command = [sys.executable, *_PYTHON, PROGRAM, json.dumps(sys.path), str(its.fileno())]
-            # In a process group of its own: a Ctrl-C is for the run, which ends it in order.
+            # In a session of its own: a Ctrl-C is for the run, which ends it in order; and where Linux
+            # shares time out by session, the learner's is not taken from the control loop's part.
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, pass_fds=(its.fileno(),), process_group=0
+                command,
+                stdin=subprocess.DEVNULL,
+                pass_fds=(its.fileno(),),
+                start_new_session=True,
             )
 
     def send(self, message: Mapping[str, Any]) -> None:
