@@ -51,8 +51,8 @@ class LearnerProcess(Closing):
         self._connection = Connection(ours.detach())
         with its:
             command = [sys.executable, *_PYTHON, PROGRAM, json.dumps(sys.path), str(its.fileno())]
-            # In a session of its own: a Ctrl-C is for the run, which ends it in order; and where Linux
-            # shares time out by session, the learner's is not taken from the control loop's part.
+            # In a session of its own: a Ctrl-C is for the run, which ends it in order; and where
+            # Linux shares time out by session, the learner takes none of the control loop's part.
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
