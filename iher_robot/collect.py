@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
 import numpy as np
@@ -162,13 +165,26 @@ def run_episode(
     try:
         observation, _ = env.reset(seed=seed)
         recorder.start(observation)
-        while recorder.ticks < ticks:
-            action = choose_action(policy, observation, recorder.told_source)
-            if explorer is not None:
-                action = explorer.act(_row(observation["observation"]), action, generator)
-            observation, _ = recorder.step(env, action[0].numpy())
+        with _without_garbage_collection():
+            while recorder.ticks < ticks:
+                action = choose_action(policy, observation, recorder.told_source)
+                if explorer is not None:
+                    action = explorer.act(_row(observation["observation"]), action, generator)
+                observation, _ = recorder.step(env, action[0].numpy())
     except EpisodeAborted as error:
         recorder.success = False  # what was recorded until then is kept, and learned from
         recorder.aborted = str(error)
     finally:
         env.hold(after=sys.exception())
+
+
+@contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    # One of all that torch and MuJoCo bring takes 0.2 s: five ticks, and as long as a host waits.
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import itertools
 import json
 import os
@@ -22,6 +23,7 @@ import torch
 import iher_robot.learner_process
 import iher_robot.training_run
 import iher_robot.workcell
+from iher_robot.collect import Recorder, run_episode
 from iher_robot.config import load_config, read_config
 from iher_robot.display import TrainingDisplay
 from iher_robot.env import GoalRobotEnv
@@ -298,6 +300,32 @@ def test_what_a_learner_on_another_device_made_acts_and_is_kept_whole(tmp_path: 
         assert beside.learner.epoch == 7
         assert torch.equal(acts["0.weight"], state["policy"]["actor"]["0.weight"])
         assert beside.state_dict() is state
+
+
+def test_no_garbage_is_collected_between_two_ticks(request: pytest.FixtureRequest) -> None:
+    collected: list[int] = []
+
+    class Watched(Recorder):
+        def step(self, env: GoalRobotEnv, action: Any) -> Any:
+            collected.append(len(collections))
+            garbage: list[Any] = [[] for _ in range(2000)]
+            garbage.append(garbage)
+            return super().step(env, action)
+
+    collections: list[str] = []
+
+    def note(phase: str, _: object) -> None:
+        collections.append(phase)
+
+    gc.callbacks.append(note)
+    request.addfinalizer(lambda: gc.callbacks.remove(note))
+    options = {"device": "cpu", "asynchronous": True}
+    with open_workcell(load_config("reach", "default", "iher", [], options)) as cell:
+        policy = cell.learner.acting_policy(torch.device("cpu"))
+        run_episode(cell.env, policy, Watched(), seed=0, ticks=5)
+    assert len(collected) == 5
+    assert len(set(collected)) == 1
+    assert gc.isenabled()
 
 
 @pytest.mark.real_time
