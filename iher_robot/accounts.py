@@ -127,8 +127,9 @@ def read_accounts(path: Path) -> Accounts:
     Raises:
         UserError: There is none, or it is damaged.
     """
-    with Database(path, LEDGER, read_only=True) as database:
-        accounts = add_up(database)
+    note = read_note(lock_path(path))  # first: the ledger may go on meanwhile
+    with Database(path, LEDGER, read_only=True) as database, database.snapshot():
+        accounts = add_up(database, note.get("last", 0))
     for number, (account, ticks) in accounts.open.items():
         begun = begun_ticks(read_note(lock_path(path)), number)
         if begun is not None:

@@ -10,6 +10,9 @@ from fractions import Fraction
 from iher_robot.errors import UserError
 from iher_robot.ledger import Entry, Ledger
 
+LONGEST_MINUTES = 1e6
+"""About two years."""
+
 
 class BudgetError(Exception):
     """More ticks were asked for than the budget still has."""
@@ -71,8 +74,10 @@ def budget_ticks(minutes: float, control_period: float) -> int:
         UserError: The minutes are not finite, or do not hold a single tick.
     """
     period = Fraction(round(control_period * 10**9), 10**9)
-    if not math.isfinite(minutes) or minutes <= 0:
-        raise UserError(f"budget is {minutes} minutes, allowed: a finite number above 0")
+    if not 0 < minutes <= LONGEST_MINUTES:
+        raise UserError(
+            f"budget is {minutes} minutes, allowed: above 0 and up to {LONGEST_MINUTES:g}"
+        )
     ticks = math.floor(Fraction(repr(float(minutes))) * 60 / period)
     if ticks < 1:
         raise UserError(

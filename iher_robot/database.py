@@ -61,7 +61,7 @@ class Database(Closing):
             self._connection = sqlite3.connect(
                 f"{path.resolve().as_uri()}?{_mode(path, read_only)}",
                 uri=True,
-                timeout=5.0 if read_only else 0.0,
+                timeout=5.0,  # while somebody looks at it
                 isolation_level=None,
             )
         # A damaged text shows by its digest, and not by an error of its encoding.

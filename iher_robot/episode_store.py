@@ -231,17 +231,18 @@ class EpisodeStore(EpisodeReader):
         if not beyond.exists():
             return self.seal(CUT_OFF)
         # It was sealed, and only not indexed; its last tick may have had no room in the journal.
+        unknown = UserError(
+            f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index back"
+        )
+        if running is None and self._lock.note:
+            raise unknown
         sealed = read_file(beyond, "episode file")
-        stored = None if running is None else read_episode(beyond, sealed, len(self))
-        if (
-            running is None
-            or stored is None
-            or stored.header != running.header
-            or len(stored.episode) < len(running.ticks)
-        ):
-            raise UserError(
-                f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index back"
-            )
+        stored = read_episode(beyond, sealed, len(self))
+        known = running is None  # as a crash of the machine may leave it, and nothing else
+        if running is not None:
+            known = stored.header == running.header and len(stored.episode) >= len(running.ticks)
+        if not known:
+            raise unknown
         self._index.add(_digest(sealed))
         self._note()
         return stored.index

@@ -28,8 +28,8 @@ class HeldFile(Closing):
     program it is exact, after a crash of the machine it counts for nothing.
 
     Attributes:
-        note: What the last holder noted; empty if nothing, if the machine was started since, or
-            if it is damaged.
+        note: What the last holder noted; empty if nothing, if the machine was started since, if
+            it is damaged, or the file a copy.
     """
 
     def __init__(self, path: Path, in_use: str) -> None:
@@ -65,7 +65,8 @@ class HeldFile(Closing):
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        line = seal_line({"boot": _boot(), "pid": os.getpid()} | note).ljust(_SIZE)
+        mine = {"boot": _boot(), "inode": os.fstat(self._descriptor).st_ino, "pid": os.getpid()}
+        line = seal_line(mine | note).ljust(_SIZE)
         assert len(line) == _SIZE, len(line)
         try:
             os.pwrite(self._descriptor, line, 0)  # never shorter: a full disk keeps the old one
@@ -86,9 +87,10 @@ def read_note(path: Path) -> Mapping[str, Any]:
     """What the holder of a file noted last, see ``HeldFile.note``; it may be holding it still."""
     try:
         note = open_line(path.read_bytes()[:_SIZE].rstrip(), path, "lock file")
+        own = (note.get("boot"), note.get("inode")) == (_boot(), path.stat().st_ino)
     except (OSError, UserError):
         return {}
-    return note if note.get("boot") == _boot() else {}
+    return note if own else {}
 
 
 @cache

@@ -29,7 +29,10 @@ def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
     if path.exists():
         require_same_interface(directory, interface)
         return
-    directory.mkdir(exist_ok=True)
+    try:
+        directory.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
     text = json.dumps(seal(interface), indent=1) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 

@@ -58,8 +58,11 @@ class RunDirectory:
                     f"run folder {path} is not empty; continue its run with --resume {path}, or "
                     "choose another folder with --out"
                 )
+            # Of two that start at one moment only one may have it.
+            (path / "config.yaml").touch(exist_ok=False)
         except FileExistsError:
-            raise UserError(f"run folder {path} is a file; choose another with --out") from None
+            what = "is taken by another run that starts just now" if path.is_dir() else "is a file"
+            raise UserError(f"run folder {path} {what}; choose another with --out") from None
         except OSError as error:
             raise UserError(
                 f"cannot make run folder {path}: {error.strerror or error}; choose another with "

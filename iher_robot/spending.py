@@ -103,6 +103,7 @@ def grant(path: Path, minutes: float) -> Spending:
     """
     with RunData(path) as run:
         ticks = budget_ticks(minutes, _control_period_s(run))
+        read_accounts(run.directory.ledger_path)  # which does not make one that is missing
         with Ledger(run.directory.ledger_path) as ledger:
             ledger.grant(ticks)
             total = Budget(ledger, _first_ticks(run)).budget_ticks

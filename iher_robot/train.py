@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import shlex
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from iher_robot.config import dump_config, load_config, read_config
 from iher_robot.deployment_operator import Operator
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
+from iher_robot.errors import UserError
 from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
 from iher_robot.interface_file import keep_interface
 from iher_robot.ledger import Ledger
@@ -41,7 +43,7 @@ class TrainResult:
     Attributes:
         directory: The run folder.
         policy: The policy file.
-        success_rate: Success of the last evaluation while training.
+        success_rate: Success of the last evaluation while training, NaN if there was none.
         final: What the policy did over fresh episodes in the end; None on a physical robot.
         robot_minutes: Robot minutes spent.
         budget_minutes: Robot minutes granted.
@@ -149,6 +151,9 @@ def train(
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
     sources = [str(Path(folder).resolve()) for folder in from_data]
+    twice = [source for source in sources if sources.count(source) > 1]
+    if twice:
+        raise UserError(f"--from-data names {twice[0]} twice; its episodes are to be learned once")
     config = load_config(task, preset, algo, overrides, options, robot, connect, sources)
     if video:
         require_film(config.chosen_robot, task)
@@ -214,7 +219,7 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
-        success_rate=last["success"],
+        success_rate=next((r["success"] for r in reversed(run.rows) if "success" in r), math.nan),
         final=final,
         robot_minutes=spent_minutes,
         budget_minutes=minutes,

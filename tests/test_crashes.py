@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 import signal
 import subprocess
 import sys
@@ -93,6 +95,36 @@ def test_a_crash_of_the_machine_in_a_simulated_episode_counts_all_that_was_reser
     resume(out, display=False)
     assert motion_ticks(out) == BUDGET_TICKS
     assert stored_ticks(out) == 67 + 50
+
+
+def test_a_run_that_is_killed_in_its_last_tick_can_be_ended(tmp_path: Path) -> None:
+    """Its budget is spent, and its last epoch was not one to evaluate."""
+    out = tmp_path / "run"
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            KILLED.replace("0.1001)", "0.0674, 'evaluation.every_epochs=2')"),
+            str(out),
+            "iher_robot.env GoalRobotEnv _run_tick 101",
+        ],
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert motion_ticks(out) == 101
+    result = resume(out, display=False)
+    assert math.isnan(result.success_rate)
+    assert result.final is not None
+
+
+def test_a_copy_counts_what_was_reserved(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    kill_at(out, "iher_robot.env GoalRobotEnv _run_tick 68")
+    copy = shutil.copytree(out, tmp_path / "copy")
+    assert (motion_ticks(out), motion_ticks(copy)) == (68, 100)
+    resume(copy, display=False)
+    assert motion_ticks(copy) == BUDGET_TICKS
+    assert motion_ticks(out) == 68
 
 
 def forget_notes(out: Path) -> None:

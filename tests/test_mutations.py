@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from iher_robot.ledger import Ledger
 from iher_robot.policy_file import load_policy
 from iher_robot.provenance import read_provenance
 from iher_robot.run_directory import RunDirectory
+from iher_robot.sealed_json import seal_line
 from tests.small_runs import EPOCH_MINUTES, run
 from tests.test_episode_store import make_stored, record
 
@@ -215,4 +217,9 @@ def test_damaged_metrics_are_named_or_end_earlier(tmp_path: Path) -> None:
 def copy_of(source: Path, target: Path) -> Path:
     """Copy a folder without what no reader here looks at."""
     shutil.rmtree(target, ignore_errors=True)
-    return shutil.copytree(source, target, ignore=shutil.ignore_patterns("tensorboard", "*.png"))
+    shutil.copytree(source, target, ignore=shutil.ignore_patterns("tensorboard", "*.png"))
+    for lock in target.rglob("*.lock"):  # as if it had been left there
+        note = json.loads(lock.read_text()) | {"inode": lock.stat().st_ino}
+        note.pop("sha256")
+        lock.write_bytes(seal_line(note))
+    return target

@@ -34,7 +34,8 @@ def test_earlier_data_are_learned_from_before_the_robot_moves(
     tmp_path: Path, earlier: Path
 ) -> None:
     out = tmp_path / "run"
-    run(out, EPOCH_MINUTES, "evaluation.every_epochs=9", seed=5, from_data=[earlier, earlier])
+    another = shutil.copytree(earlier, tmp_path / "another")
+    run(out, EPOCH_MINUTES, "evaluation.every_epochs=9", seed=5, from_data=[earlier, another])
     rows = metrics(out)
     assert [row["robot_minutes"] for row in rows] == pytest.approx([0.0, 100 / 1500])
     assert [row["real_transitions"] for row in rows] == [400, 500]
@@ -87,6 +88,8 @@ def test_data_of_another_task_are_refused_before_anything_is_made(
         train(task="push", out=tmp_path / "run", from_data=[earlier], overrides=TINY)
     with pytest.raises(UserError, match="have interface_digest"):
         train(task="reach", robot="fetch-mocap", out=tmp_path / "run", from_data=[earlier])
+    with pytest.raises(UserError, match=r"names .*run twice"):
+        train(task="reach", out=tmp_path / "run", from_data=[earlier, earlier])
     with pytest.raises(UserError, match="there is no interface file"):
         train(task="reach", out=tmp_path / "run", from_data=[tmp_path / "absent"])
     empty = tmp_path / "empty"
