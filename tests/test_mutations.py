@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -23,7 +22,7 @@ from iher_robot.ledger import Ledger
 from iher_robot.policy_file import load_policy
 from iher_robot.provenance import read_provenance
 from iher_robot.run_directory import RunDirectory
-from iher_robot.sealed_json import seal_line
+from tests.in_place import as_if_left_there
 from tests.small_runs import EPOCH_MINUTES, run
 from tests.test_episode_store import make_stored, record
 
@@ -218,8 +217,4 @@ def copy_of(source: Path, target: Path) -> Path:
     """Copy a folder without what no reader here looks at."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target, ignore=shutil.ignore_patterns("tensorboard", "*.png"))
-    for lock in target.rglob("*.lock"):  # as if it had been left there
-        note = json.loads(lock.read_text()) | {"inode": lock.stat().st_ino}
-        note.pop("sha256")
-        lock.write_bytes(seal_line(note))
-    return target
+    return as_if_left_there(target)

@@ -20,6 +20,7 @@ from iher_robot.policy_fit import load_actor
 from iher_robot.stored_episode import DONE, StoredEpisode
 from tests.faults.host_log import LoggedTick
 from tests.faults.violation import Violation
+from tests.in_place import as_if_left_there
 
 OVERCOUNT_PER_KILL = 1
 """Ticks that a ledger may count too much for each kill: the one in flight."""
@@ -90,6 +91,7 @@ def look_into(folder: Path, scratch: Path) -> Found:
     with tempfile.TemporaryDirectory(dir=scratch) as copy_name:
         copy = Path(copy_name) / "run"
         shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("filler", "tensorboard"))
+        as_if_left_there(copy)
         left = _left(copy)
         with Ledger(copy / "ledger.sqlite") as ledger:
             found = Found(
