@@ -134,8 +134,7 @@ def full() -> dict[str, Any]:
             learner.learn()
             stages.add(f"{learner.imagined.level:,} imagined" + ", all of them anew" * filled)
         for _ in range(3):
-            for batch in learner.sample_batches(BLOCK):
-                learner.ddpg.update(batch)
+            learner.ddpg.update_block(learner.sample_block(BLOCK), BLOCK)
         stages.add(f"updates from {BLOCK} batches that are drawn together")
         learner.state_dict()
         stages.add("state for a checkpoint")

@@ -8,7 +8,7 @@ from typing import Any
 from iher_robot.torch_file import load_torch_file, save_torch_file
 
 KIND = "checkpoint"
-VERSION = 3
+VERSION = 4
 
 
 def save_checkpoint(path: Path, *, learner: dict[str, Any], run: dict[str, Any]) -> None:

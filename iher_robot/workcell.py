@@ -119,7 +119,8 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
 def prepare_torch(config: RunConfig) -> None:
     """Set what torch keeps for a whole process."""
     torch.set_num_threads(config.threads)
-    torch.set_float32_matmul_precision(config.learner.matmul_precision)
+    precision = config.learner.matmul_precision
+    torch.set_float32_matmul_precision("highest" if precision == "bfloat16" else precision)
 
 
 def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Learner:

@@ -291,7 +291,7 @@ def test_what_a_learner_on_another_device_made_acts_and_is_kept_whole(tmp_path: 
         there = make_learner(cell.config, cell.env.task, torch.device("cpu"))
         there.epoch = 7
         with torch.no_grad():
-            there.policy.actor[0].weight.add_(1.0)  # type: ignore[index]
+            next(iter(there.policy.actor.parameters())).add_(1.0)
         state = there.state_dict()
         state["generator"] = state["contact"]["generator"] = torch.zeros(16, dtype=torch.uint8)
         beside = LearnerBeside(cell, Silent(tmp_path), lambda *_: None)

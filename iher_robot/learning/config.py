@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
+import torch
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
@@ -265,5 +266,12 @@ class LearnerConfig(Section):
     exploration: ExplorationConfig = ExplorationConfig()
     symmetry: SymmetryConfig = SymmetryConfig()
     contact: ContactConfig = ContactConfig()
-    matmul_precision: Literal["highest", "high", "medium"] = "medium"
-    """Precision of float32 matrix products, as in ``torch.set_float32_matmul_precision``."""
+    matmul_precision: Literal["highest", "high", "medium", "bfloat16"] = "medium"
+    """Precision of matrix products: of float32 ones as in ``torch.set_float32_matmul_precision``,
+    which is up to the hardware; or ``bfloat16`` between hidden layers wherever the learner
+    computes, while weights, their sums of gradients, and the first and last layers stay float32."""
+
+    @property
+    def products(self) -> torch.dtype:
+        """Type of the matrix products between hidden layers."""
+        return torch.bfloat16 if self.matmul_precision == "bfloat16" else torch.float32

@@ -118,9 +118,9 @@ class ContactLearner:
             drawn = real.sample(batches * size, self.generator, self.goals, future_fraction=1.0)
             # The curiosity that is stored with the data is not this policy's.
             drawn = dataclasses.replace(drawn, intrinsic=torch.zeros_like(drawn.intrinsic))
-            for batch in augment(drawn, symmetry, self.generator).split(batches):
-                report = self.ddpg.update(batch)
-                meter.add({"contact_critic_loss": report["critic_loss"]})
+            drawn = augment(drawn, symmetry, self.generator)
+            report = self.ddpg.update_block(drawn, batches)
+            meter.add({"contact_critic_loss": report["critic_loss"]}, weight=batches)
         return meter
 
     def state_dict(self) -> dict[str, Any]:

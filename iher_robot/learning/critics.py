@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from iher_robot.learning.config import DDPGConfig
-from iher_robot.learning.networks import mlp
+from iher_robot.learning.networks import forward, mlp
 
 
 class Critics(nn.Module):
@@ -19,14 +19,22 @@ class Critics(nn.Module):
         config: How many networks a component has, and of what kind.
         components: Components of the reward that have critics of their own.
         generator: Draws the initial weights, on the CPU.
+        products: Type of the matrix products between hidden layers.
     """
 
     def __init__(
-        self, inputs: int, config: DDPGConfig, *, components: int, generator: torch.Generator
+        self,
+        inputs: int,
+        config: DDPGConfig,
+        *,
+        components: int,
+        generator: torch.Generator,
+        products: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
         self._members = config.critics
         self._components = components
+        self._products = products
         self.networks = nn.ModuleList(
             mlp(inputs, config.hidden, 1, generator, layer_norm=config.layer_norm)
             for _ in range(components * config.critics)
@@ -47,10 +55,16 @@ class Critics(nn.Module):
         """
         inputs = torch.cat([features, action], dim=-1)
         asked = range(self._members) if members is None else members
+        # One after the other: what one computes fits a cache of the processor.
         values: list[torch.Tensor] = [
-            self.networks[component * self._members + member](inputs).squeeze(-1)
+            forward(self._network(component, member), inputs, self._products).squeeze(-1)
             for component in range(self._components)
             for member in asked
         ]
         stacked = torch.stack(values)
         return stacked.view(self._components, len(asked), len(inputs))
+
+    def _network(self, component: int, member: int) -> nn.Sequential:
+        network = self.networks[component * self._members + member]
+        assert isinstance(network, nn.Sequential)
+        return network

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections import defaultdict
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -10,6 +12,7 @@ from torch import nn
 
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.critics import Critics
+from iher_robot.learning.flat import Flat
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import Transitions
@@ -40,9 +43,23 @@ def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:
     return [(-horizon, intrinsic if ddpg.clip_target == "intrinsic" else 0.0)]
 
 
-@torch.no_grad()
-def _blend(into: nn.Module, source: nn.Module, share: float) -> None:
-    torch._foreach_lerp_(list(into.parameters()), list(source.parameters()), share)
+@dataclass(frozen=True)
+class Steps:
+    """What the networks see of some gradient steps; slices of it are what they see of one.
+
+    Attributes:
+        features: Of observation and goal. ``(steps, batch, input_dim)``
+        action: ``(steps, batch, action_dim)``
+        next_features: Of next observation and goal. ``(steps, batch, input_dim)``
+        reward: Of each component. ``(steps, components, batch)``
+        members: Target critics that each step bootstraps from; None for all of them.
+    """
+
+    features: torch.Tensor
+    action: torch.Tensor
+    next_features: torch.Tensor
+    reward: torch.Tensor
+    members: list[list[int]] | None
 
 
 class DDPG:
@@ -75,18 +92,19 @@ class DDPG:
             config.ddpg,
             components=len(bounds),
             generator=generator,
+            products=policy.products,
         ).to(device)
         self._generator = generator
-        self._updates = 0
+        self._updates = torch.zeros((), dtype=torch.long, device=device)
+        self._phase = 0
         self._target_actor = copy.deepcopy(policy.actor)
         self._mean_actor = copy.deepcopy(policy.actor)
         self._target_critics = copy.deepcopy(self.critics)
-        self._actor_optimizer = torch.optim.Adam(
-            policy.actor.parameters(), lr=config.ddpg.actor_lr, fused=True
-        )
-        self._critic_optimizer = torch.optim.Adam(
-            self.critics.parameters(), lr=config.ddpg.critic_lr, fused=True
-        )
+        self._flat = {name: Flat(module) for name, module in self._modules().items()}
+        self._optimizers = {
+            name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True)
+            for name, lr in (("actor", config.ddpg.actor_lr), ("critics", config.ddpg.critic_lr))
+        }
 
     @torch.no_grad()
     def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
@@ -100,23 +118,43 @@ class DDPG:
         Returns:
             Clipped targets, and whether each was clipped. ``(components, batch)`` each
         """
-        features = self.policy.features(batch.next_observation, batch.goal, batch.source)
-        action = torch.tanh(self._target_actor(features))
-        members = self._subset()
-        value = self._target_critics(features, action, members).amin(dim=1)
-        reward = torch.stack([batch.extrinsic, batch.intrinsic])
+        return self._targets(self._steps(batch, 1), 0)
+
+    @torch.no_grad()
+    def _steps(self, block: Transitions, count: int) -> Steps:
+        # All at once: only the networks change from one step to the next.
+        policy = self.policy
+        reward = torch.stack([block.extrinsic, block.intrinsic])
         if not self.config.ddpg.component_critics:
             reward = reward.sum(dim=0, keepdim=True)
-        raw = reward + self.config.ddpg.gamma * value
+        return Steps(
+            features=policy.features(block.observation, block.goal, block.source).unflatten(
+                0, (count, -1)
+            ),
+            action=block.action.unflatten(0, (count, -1)),
+            next_features=policy.features(
+                block.next_observation, block.goal, block.source
+            ).unflatten(0, (count, -1)),
+            reward=reward.unflatten(1, (count, -1)).transpose(0, 1),
+            members=self._subsets(count),
+        )
+
+    def _subsets(self, count: int) -> list[list[int]] | None:
+        critics, size = self.config.ddpg.critics, self.config.ddpg.target_subset
+        if size == critics:
+            return None
+        drawn = (torch.randperm(critics, generator=self._generator) for _ in range(count))
+        return [permutation[:size].tolist() for permutation in drawn]
+
+    @torch.no_grad()
+    def _targets(self, steps: Steps, step: int) -> tuple[torch.Tensor, torch.Tensor]:
+        features = steps.next_features[step]
+        action = self.policy.action(features, self._target_actor)
+        members = None if steps.members is None else steps.members[step]
+        value = self._target_critics(features, action, members).amin(dim=1)
+        raw = steps.reward[step] + self.config.ddpg.gamma * value
         clipped = raw.clamp(self._low, self._high)
         return clipped, clipped != raw
-
-    def _subset(self) -> list[int]:
-        count, size = self.config.ddpg.critics, self.config.ddpg.target_subset
-        if size == count:
-            return list(range(count))
-        drawn: list[int] = torch.randperm(count, generator=self._generator)[:size].tolist()
-        return drawn
 
     def update(self, batch: Transitions) -> dict[str, torch.Tensor]:
         """One gradient step of the critics, and of the actor if it is its turn.
@@ -127,38 +165,59 @@ class DDPG:
         Returns:
             Scalars of the step, as tensors so that a GPU need not wait.
         """
-        target, clipped = self.targets(batch)
-        features = self.policy.features(batch.observation, batch.goal, batch.source)
-        value = self.critics(features, batch.action)
+        return self.update_block(batch, 1)
+
+    def update_block(self, block: Transitions, count: int) -> dict[str, torch.Tensor]:
+        """Take gradient steps of the critics, and of the actor whenever it is its turn.
+
+        Args:
+            block: Transitions, as many for each step, one step's behind the other's.
+            count: Steps.
+
+        Returns:
+            Means over the steps, as tensors so that a GPU need not wait.
+        """
+        steps = self._steps(block, count)
+        reports: dict[str, list[torch.Tensor]] = defaultdict(list)
+        for step in range(count):
+            for name, value in self._update(steps, step).items():
+                reports[name].append(value)
+        return {name: torch.stack(values).mean() for name, values in reports.items()}
+
+    def _update(self, steps: Steps, step: int) -> dict[str, torch.Tensor]:
+        target, clipped = self._targets(steps, step)
+        features = steps.features[step]
+        value = self.critics(features, steps.action[step])
         squared = (value - target.unsqueeze(1)).square()
-        critic_loss = squared.mean(dim=-1).sum()  # each network has a loss of its own
-        self._critic_optimizer.zero_grad(set_to_none=True)
-        critic_loss.backward()
-        self._critic_optimizer.step()
+        # Each network has a loss of its own.
+        self._descend("critics", squared.mean(dim=-1).sum())
         report = {
             "critic_loss": squared.detach().mean(),
             "target_clipped": clipped.float().mean(),
         }
-        if self._updates % self.config.ddpg.actor_period == 0:
+        if self._phase == 0:
             report["q"] = self._update_actor(features)
+        self._phase = (self._phase + 1) % self.config.ddpg.actor_period
         self._updates += 1
         if (average := self.config.ddpg.policy_average) is not None:
             # At first the plain mean, so that nothing of the initial weights stays in it.
-            _blend(self._mean_actor, self.policy.actor, max(average, 1.0 / self._updates))
+            share = self._updates.float().reciprocal().clamp(min=average)
+            self._flat["mean_actor"].follow(self._flat["actor"], share)
         if self.config.ddpg.target_update == "update":
             self.update_targets()
         return report
 
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
         action = self.policy.action(features)
-        self.critics.requires_grad_(False)  # the actor's gradient passes through, not into them
         value: torch.Tensor = self.critics(features, action).mean(dim=1).sum(dim=0).mean()
         loss = -value + self.config.ddpg.action_l2 * action.square().mean()
-        self._actor_optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self._actor_optimizer.step()
-        self.critics.requires_grad_(True)
+        self._descend("actor", loss)
         return value.detach()
+
+    def _descend(self, name: str, loss: torch.Tensor) -> None:
+        self._flat[name].clear_gradients()
+        self._flat[name].add_gradients(loss)
+        self._optimizers[name].step()
 
     def end_cycle(self) -> None:
         """Move the targets, where they are moved once a cycle."""
@@ -167,8 +226,8 @@ class DDPG:
 
     def update_targets(self) -> None:
         """Move the target networks towards the online ones by ``tau``."""
-        _blend(self._target_actor, self.policy.actor, self.config.ddpg.tau)
-        _blend(self._target_critics, self.critics, self.config.ddpg.tau)
+        for name in ("actor", "critics"):
+            self._flat[f"target_{name}"].follow(self._flat[name], self.config.ddpg.tau)
 
     def acting_snapshot(self) -> dict[str, Any]:
         """Copy of the policy that acts: the actor, or the running mean of its weights."""
@@ -179,6 +238,7 @@ class DDPG:
 
     def _modules(self) -> dict[str, nn.Module]:
         return {
+            "actor": self.policy.actor,
             "critics": self.critics,
             "target_actor": self._target_actor,
             "target_critics": self._target_critics,
@@ -188,20 +248,21 @@ class DDPG:
     def state_dict(self) -> dict[str, Any]:
         """Copy of networks and optimisers, without the policy, which is saved as a snapshot."""
         state: dict[str, Any] = {
-            name: module.state_dict() for name, module in self._modules().items()
+            name: module.state_dict() for name, module in self._modules().items() if name != "actor"
         }
-        state["updates"] = self._updates
+        state["updates"] = int(self._updates)
         state["generator"] = self._generator.get_state()
-        state["actor_optimizer"] = self._actor_optimizer.state_dict()
-        state["critic_optimizer"] = self._critic_optimizer.state_dict()
+        state["optimizers"] = {name: each.state_dict() for name, each in self._optimizers.items()}
         return copy.deepcopy(state)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
         for name, module in self._modules().items():
-            module.load_state_dict(state[name])
-        self._updates = state["updates"]
+            if name != "actor":
+                module.load_state_dict(state[name])
+        self._updates.fill_(state["updates"])
+        self._phase = state["updates"] % self.config.ddpg.actor_period
         self._generator.set_state(state["generator"].cpu())
         # Optimisers keep the tensors that they load and then write to them.
-        self._actor_optimizer.load_state_dict(copy.deepcopy(state["actor_optimizer"]))
-        self._critic_optimizer.load_state_dict(copy.deepcopy(state["critic_optimizer"]))
+        for name, optimizer in self._optimizers.items():
+            optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))

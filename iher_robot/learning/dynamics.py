@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import copy
 import math
+from functools import partial
 from typing import Any
 
 import torch
 from torch import nn
 
 from iher_robot.learning.config import DynamicsConfig
+from iher_robot.learning.flat import Flat
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.networks import in_blocks, mlp
+from iher_robot.learning.networks import forward, in_blocks, mlp
 from iher_robot.learning.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, choose_maps
@@ -47,6 +49,7 @@ class DynamicsEnsemble:
         generator: Draws the initial weights, on the CPU.
         device: Where the models compute.
         symmetry: Maps whose images of the real transitions are learned from; None for none.
+        products: Type of the matrix products between hidden layers.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class DynamicsEnsemble:
         generator: torch.Generator,
         device: torch.device,
         symmetry: Symmetry | None = None,
+        products: torch.dtype = torch.float32,
     ) -> None:
         self.config = config
         self._seen = torch.ones(shapes.obs_dim + shapes.action_dim, device=device)
@@ -64,9 +68,11 @@ class DynamicsEnsemble:
             self._seen[list(shapes.shifted_entries)] = 0.0
         self._symmetry = symmetry
         inputs = shapes.obs_dim + shapes.action_dim
+        self._products = products
         self.members = nn.ModuleList(
             mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
         ).to(device)
+        self._flat = Flat(self.members)
         self.input_normalizer = FittedNormalizer(inputs, std_floor=config.std_floor, device=device)
         self.delta_normalizer = FittedNormalizer(
             shapes.obs_dim, std_floor=config.std_floor, device=device
@@ -74,7 +80,7 @@ class DynamicsEnsemble:
         # Bounds of the real observations, for imagination.
         self.obs_low = torch.full((shapes.obs_dim,), -torch.inf, device=device)
         self.obs_high = torch.full((shapes.obs_dim,), torch.inf, device=device)
-        self._optimizer = torch.optim.Adam(self.members.parameters(), lr=config.lr, fused=True)
+        self._optimizer = torch.optim.Adam([self._flat.values], lr=config.lr, fused=True)
 
     def fit_normalizers(self, real: EpisodeReplay, generator: torch.Generator) -> None:
         """Refit the statistics to every stored real transition, or to an image of each.
@@ -109,20 +115,24 @@ class DynamicsEnsemble:
         """
         epoch = max(1, real.newest_epoch)
         weights = recency_weights(epoch, self.config).to(self.obs_low.device)
+        members = len(self.members)
         loss = torch.zeros((), device=self.obs_low.device)
         for _ in range(steps):
-            self._optimizer.zero_grad(set_to_none=True)
+            # Rows of each member's own: those that learn from the same would hardly disagree.
+            episode, tick = real.draw(members * batch_size, generator, weights)
+            observation, action, following = self._steps(real, episode, tick, generator)
+            target = self.delta_normalizer.normalize(following - observation)
+            inputs = self._inputs(observation, action)
             loss.zero_()
-            for member in self.members:
-                episode, tick = real.draw(batch_size, generator, weights)
-                observation, action, following = self._steps(real, episode, tick, generator)
-                target = self.delta_normalizer.normalize(following - observation)
-                error = member(self._inputs(observation, action)) - target
-                squared = error.square().sum(-1).mean()
-                squared.backward()
-                loss += squared.detach() / target.shape[-1]
+            self._flat.clear_gradients()
+            for member, rows, wanted in zip(
+                self.members, inputs.chunk(members), target.chunk(members), strict=True
+            ):
+                squared = (self._forward(member, rows) - wanted).square()
+                self._flat.add_gradients(squared.sum(-1).mean())
+                loss += squared.detach().mean()
             self._optimizer.step()
-        mean_loss = float(loss) / len(self.members)
+        mean_loss = float(loss) / members
         if not math.isfinite(mean_loss):
             raise FloatingPointError(f"the dynamics models' error is {mean_loss}: {DIVERGED}")
         return mean_loss
@@ -156,7 +166,13 @@ class DynamicsEnsemble:
             ``(members, batch, obs_dim)``
         """
         inputs = self._inputs(observation, action)
-        return torch.stack([in_blocks(member, inputs) for member in self.members])
+        return torch.stack(
+            [in_blocks(partial(self._forward, member), inputs) for member in self.members]
+        )
+
+    def _forward(self, member: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
+        assert isinstance(member, nn.Sequential)
+        return forward(member, inputs, self._products)
 
     def next_observation(
         self, observation: torch.Tensor, normalized_delta: torch.Tensor

@@ -161,7 +161,9 @@ class ImaginarySource:
     def _older_policies(self, cycle: int) -> Iterator[Policy]:
         for copied_at, snapshot in reversed(self.policy_copies):
             if copied_at != cycle:
-                yield Policy.from_snapshot(snapshot, device=self.device)
+                yield Policy.from_snapshot(
+                    snapshot, device=self.device, products=self.config.products
+                )
 
     def add_rollouts(
         self,

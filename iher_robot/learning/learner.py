@@ -90,6 +90,7 @@ class Learner:
             generator=initial,
             device=device,
             symmetry=self.symmetry,
+            products=config.products,
         )
         self.generator = torch.Generator(device).manual_seed(seed)
         self.real = self._real_replay(config.replay.capacity)
@@ -206,10 +207,7 @@ class Learner:
             if imagination:
                 meter.add(self.imagined.imagine_cycle(self.ensemble, self.policy, epoch=self.epoch))
             batches = min(schedule.batches, updates - done)
-            for drawn in range(0, batches, BLOCK):
-                for batch in self.sample_batches(min(BLOCK, batches - drawn)):
-                    meter.add(self.ddpg.update(batch))
-                    self.updates += 1
+            self._update(batches, meter)
             self.ddpg.end_cycle()
             self.cycle += 1
             if imagination and self.cycle % schedule.policy_copy_cycles == 0:
@@ -225,6 +223,12 @@ class Learner:
             "imagined_stored": self.imagined.level,
             "imagined_share": self.imagined_share,
         }
+
+    def _update(self, batches: int, meter: Meter) -> None:
+        for drawn in range(0, batches, BLOCK):
+            count = min(BLOCK, batches - drawn)
+            meter.add(self.ddpg.update_block(self.sample_block(count), count), weight=count)
+            self.updates += count
 
     def _updates_of_epoch(self) -> int:
         schedule = self.config.schedule
@@ -245,7 +249,7 @@ class Learner:
             return self.config.imagination.share
         return self.imagined.collected / (self.imagined.collected + self.real_collected)
 
-    def sample_batches(self, count: int) -> list[Transitions]:
+    def sample_block(self, count: int) -> Transitions:
         """Draw batches from both sources, relabelled, with cached intrinsic rewards.
 
         They are drawn together, which costs little more than drawing one.
@@ -254,17 +258,17 @@ class Learner:
             count: How many.
 
         Returns:
-            Batches of the same size, each with the same share of imagined transitions.
+            Batches of the same size, one behind the other, each with the same share of imagined
+            transitions.
         """
         size = self.config.schedule.workers * self.config.ddpg.batch_size
         imagined = round(self.imagined_share * size)
         sources = []
         if imagined < size:
-            sources.append(self._sample(self.real, count * (size - imagined)).split(count))
+            sources.append(self._sample(self.real, count * (size - imagined)))
         if imagined:
-            drawn = self._augmented(self.imagined.sample(count * imagined))
-            sources.append(drawn.split(count))
-        return [Transitions.concatenate(list(parts)) for parts in zip(*sources, strict=True)]
+            sources.append(self._augmented(self.imagined.sample(count * imagined)))
+        return sources[0] if len(sources) == 1 else Transitions.interleave(sources, count)
 
     def _sample(self, replay: EpisodeReplay, count: int) -> Transitions:
         fraction = self.config.replay.future_fraction

@@ -15,11 +15,16 @@ class Meter:
         self._sums: dict[str, torch.Tensor | float] = defaultdict(float)
         self._counts: dict[str, int] = defaultdict(int)
 
-    def add(self, values: Mapping[str, torch.Tensor | float]) -> None:
-        """Take in one step's values."""
+    def add(self, values: Mapping[str, torch.Tensor | float], weight: int = 1) -> None:
+        """Take in one step's values, or means over several.
+
+        Args:
+            values: By name.
+            weight: Steps that they stand for.
+        """
         for name, value in values.items():
-            self._sums[name] = self._sums[name] + value
-            self._counts[name] += 1
+            self._sums[name] = self._sums[name] + weight * value
+            self._counts[name] += weight
 
     def means(self) -> dict[str, float]:
         """Mean of each name."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
@@ -20,7 +20,7 @@ def mlp(
     generator: torch.Generator,
     *,
     layer_norm: bool = False,
-) -> nn.Module:
+) -> nn.Sequential:
     """Multi-layer perceptron with ReLU between its layers.
 
     The weights are drawn from ``generator`` with torch's default distribution, so that nothing
@@ -50,7 +50,36 @@ def mlp(
     return nn.Sequential(*layers)
 
 
-def in_blocks(network: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
+def forward(network: nn.Sequential, inputs: torch.Tensor, products: torch.dtype) -> torch.Tensor:
+    """Apply what ``mlp`` returned, with matrix products between hidden layers of a type.
+
+    The first and the last layer are not rounded: what a network sees and says stays exact. Nor is
+    anything between the products, which on a CPU would cost more than it saves.
+
+    Args:
+        network: From ``mlp``.
+        inputs: ``(rows, inputs)``
+        products: Type of the products; weights and results stay what they are.
+
+    Returns:
+        ``(rows, outputs)``
+    """
+    if products == inputs.dtype:
+        output: torch.Tensor = network(inputs)
+        return output
+    values, last = inputs, len(network) - 1
+    for index, layer in enumerate(network):
+        if isinstance(layer, nn.Linear) and 0 < index < last:
+            product = functional.linear(values.to(products), layer.weight.to(products))
+            values = product.to(inputs.dtype).add_(layer.bias)
+        else:
+            values = layer(values)
+    return values
+
+
+def in_blocks(
+    network: Callable[[torch.Tensor], torch.Tensor], inputs: torch.Tensor
+) -> torch.Tensor:
     """Apply a network to any number of rows, in blocks whose sizes are powers of two.
 
     On a CPU torch has a matrix product compiled for each shape that it meets (oneDNN, in every
@@ -66,8 +95,7 @@ def in_blocks(network: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
     """
     sizes = block_sizes(len(inputs))
     if inputs.device.type != "cpu" or sizes == [len(inputs)] or not sizes:
-        output: torch.Tensor = network(inputs)
-        return output
+        return network(inputs)
     outputs, begin = [], 0
     for size in sizes:
         rows = inputs[begin : begin + size]

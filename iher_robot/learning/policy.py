@@ -10,7 +10,7 @@ from torch import nn
 
 from iher_robot.learning.config import ExplorationConfig, LearnerConfig
 from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
-from iher_robot.learning.networks import in_blocks, mlp
+from iher_robot.learning.networks import forward, in_blocks, mlp
 from iher_robot.learning.normalizer import RunningNormalizer
 
 
@@ -26,6 +26,7 @@ class Policy:
         normalizer_std_floor: See ``ReplayConfig``.
         generator: Draws the initial weights.
         device: Where the policy computes.
+        products: Type of the matrix products between hidden layers.
     """
 
     def __init__(
@@ -39,12 +40,14 @@ class Policy:
         normalizer_std_floor: float,
         generator: torch.Generator,
         device: torch.device,
+        products: torch.dtype = torch.float32,
     ) -> None:
         self.shapes = shapes
         self.hidden = tuple(hidden)
         self.source_input = source_input
         self.inputs = inputs
         self.device = device
+        self.products = products
 
         def normalizer(dim: int) -> RunningNormalizer:
             return RunningNormalizer(
@@ -58,7 +61,7 @@ class Policy:
         # 1 for what a shift of the whole scene leaves as it is.
         self._fixed = torch.ones(shapes.obs_dim, device=device)
         self._fixed[list(shapes.shifted_entries)] = 0.0
-        self.actor: nn.Module = mlp(self.input_dim, hidden, shapes.action_dim, generator).to(device)
+        self.actor = mlp(self.input_dim, hidden, shapes.action_dim, generator).to(device)
 
     @classmethod
     def from_config(
@@ -79,6 +82,7 @@ class Policy:
             normalizer_std_floor=config.replay.normalizer_std_floor,
             generator=generator,
             device=device,
+            products=config.products,
         )
 
     @property
@@ -120,16 +124,25 @@ class Policy:
             parts.append(source_features(source))
         return torch.cat(parts, dim=-1)
 
-    def action(self, features: torch.Tensor) -> torch.Tensor:
-        """Action for the features, in [-1, 1]. ``(batch, input_dim) -> (batch, action_dim)``"""
-        return torch.tanh(self.actor(features))
+    def action(self, features: torch.Tensor, actor: nn.Sequential | None = None) -> torch.Tensor:
+        """Action for the features, in [-1, 1].
+
+        Args:
+            features: ``(batch, input_dim)``
+            actor: An actor of the same kind, such as a target; None for the policy's own.
+
+        Returns:
+            ``(batch, action_dim)``
+        """
+        return torch.tanh(forward(actor or self.actor, features, self.products))
 
     @torch.no_grad()
     def act(
         self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
     ) -> torch.Tensor:
         """Action without noise. ``(batch, obs_dim), (batch, goal_dim), (batch,)``"""
-        return torch.tanh(in_blocks(self.actor, self.features(observation, goal, source)))
+        features = self.features(observation, goal, source)
+        return in_blocks(self.action, features)
 
     def snapshot(self) -> dict[str, Any]:
         """Copy of all that acting needs: tensors and plain values only."""
@@ -155,12 +168,19 @@ class Policy:
             self.gap_normalizer.load_state_dict(snapshot["gap_normalizer"])
 
     @classmethod
-    def from_snapshot(cls, snapshot: dict[str, Any], *, device: torch.device) -> Policy:
+    def from_snapshot(
+        cls,
+        snapshot: dict[str, Any],
+        *,
+        device: torch.device,
+        products: torch.dtype = torch.float32,
+    ) -> Policy:
         """Build the policy that a snapshot holds.
 
         Args:
             snapshot: From ``snapshot``.
             device: Where the policy computes.
+            products: Type of the matrix products between hidden layers.
 
         Raises:
             AttributeError, KeyError, RuntimeError, TypeError, ValueError: It holds something else.
@@ -174,6 +194,7 @@ class Policy:
             normalizer_std_floor=snapshot["normalizer_std_floor"],
             generator=torch.Generator(),
             device=device,
+            products=products,
         )
         policy.load_snapshot(snapshot)
         shapes = policy.shapes

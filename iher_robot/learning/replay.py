@@ -46,10 +46,19 @@ class Transitions:
     source: torch.Tensor
 
     @staticmethod
-    def concatenate(parts: list[Transitions]) -> Transitions:
-        """Join batches of several sources into one."""
-        fields = Transitions.__dataclass_fields__
-        return Transitions(**{f: torch.cat([getattr(part, f) for part in parts]) for f in fields})
+    def interleave(parts: list[Transitions], count: int) -> Transitions:
+        """Join blocks of batches of several sources, each batch with its share of every source.
+
+        Args:
+            parts: Blocks of ``count`` batches, one behind the other.
+            count: Batches.
+        """
+
+        def joined(field: str) -> torch.Tensor:
+            batches = [getattr(part, field).unflatten(0, (count, -1)) for part in parts]
+            return torch.cat(batches, dim=1).flatten(0, 1)
+
+        return Transitions(**{field: joined(field) for field in Transitions.__dataclass_fields__})
 
     def split(self, count: int) -> list[Transitions]:
         """Cut into so many equal batches."""

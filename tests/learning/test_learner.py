@@ -46,7 +46,7 @@ def test_the_dynamics_are_trained_longest_in_the_first_epoch_on_batches_of_all_w
         learner.learn()
         taken.append(steps(learner.ensemble.state_dict()["optimizer"]))
     assert taken == [{5 * 6}, {5 * 6 + 6}, {5 * 6 + 12}]
-    assert sizes == {(REAL, expected)}
+    assert sizes == {(REAL, learner.config.dynamics.members * expected)}
 
 
 def test_targets_are_updated_once_a_cycle_after_its_batches(
@@ -54,24 +54,24 @@ def test_targets_are_updated_once_a_cycle_after_its_batches(
 ) -> None:
     learner = new(quick())
     calls = []
-    update, update_targets = learner.ddpg.update, learner.ddpg.update_targets
+    update, update_targets = learner.ddpg.update_block, learner.ddpg.update_targets
 
-    def updated(batch: Any) -> dict[str, torch.Tensor]:
-        calls.append("update")
-        return update(batch)
+    def updated(block: Any, count: int) -> dict[str, torch.Tensor]:
+        calls.extend(["update"] * count)
+        return update(block, count)
 
     def targets_updated() -> None:
         calls.append("targets")
         update_targets()
 
-    monkeypatch.setattr(learner.ddpg, "update", updated)
+    monkeypatch.setattr(learner.ddpg, "update_block", updated)
     monkeypatch.setattr(learner.ddpg, "update_targets", targets_updated)
     learner.add_real(real(1))
     metrics = learner.learn()
     assert calls == ["update", "update", "update", "targets"] * 4
     assert metrics["updates"] == 12
-    for name in ("actor_optimizer", "critic_optimizer"):
-        assert steps(learner.ddpg.state_dict()[name]) == {12}
+    for optimizer in learner.ddpg.state_dict()["optimizers"].values():
+        assert steps(optimizer) == {12}
 
 
 def test_a_copy_of_the_policy_is_kept_every_so_many_cycles_across_epochs() -> None:
@@ -131,9 +131,9 @@ def test_the_model_free_baseline_imagines_nothing_and_hears_no_source() -> None:
     assert learner.imagined.replay.num_episodes == 0
     assert (metrics["imagined_transitions"], metrics["imagined_share"]) == (0, 0)
     assert "dynamics_loss" not in metrics
-    assert (learner.sample_batches(1)[0].source == REAL).all()
-    assert len(learner.sample_batches(1)[0].source) == 50
-    assert (learner.sample_batches(1)[0].intrinsic == 0).all()
+    assert (learner.sample_block(1).source == REAL).all()
+    assert len(learner.sample_block(1).source) == 50
+    assert (learner.sample_block(1).intrinsic == 0).all()
     assert learner.policy.input_dim == SHAPES.obs_dim + SHAPES.goal_dim
     for name, tensor in learner.ensemble.state_dict()["members"].items():
         assert torch.equal(tensor, untrained[name])
@@ -203,28 +203,22 @@ def test_the_updates_of_an_epoch_follow_from_its_fresh_valid_steps() -> None:
             # Cycles of three updates, and of what is left.
             assert ends == [total + min(done + 3, updates) for done in range(0, updates, 3)]
             total += updates
-            for name in ("actor_optimizer", "critic_optimizer"):
-                assert steps(learner.ddpg.state_dict()[name]) == {total}
+            for optimizer in learner.ddpg.state_dict()["optimizers"].values():
+                assert steps(optimizer) == {total}
 
 
 def test_what_is_learned_from_is_met_within_the_tolerance_that_is_asked_for() -> None:
     strict = new(quick(replay={"tolerance": 0.4}))
     strict.add_real(real(1, 40))
-    batch = strict.sample_batches(20)
+    block = strict.sample_block(20)
     goals = PointMassGoals()
     met = {
-        share: torch.cat(
-            [
-                goals.tightened(share).compute_reward(
-                    goals.achieved_goal(b.next_observation), b.goal
-                )
-                for b in batch
-            ]
+        share: goals.tightened(share).compute_reward(
+            goals.achieved_goal(block.next_observation), block.goal
         )
         for share in (0.4, 1.0)
     }
-    extrinsic = torch.cat([b.extrinsic for b in batch])
-    assert torch.equal(extrinsic, met[0.4])
+    assert torch.equal(block.extrinsic, met[0.4])
     assert (met[0.4] < met[1.0]).any()
 
 
@@ -273,13 +267,13 @@ def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
     batches: list[Transitions] = []
     assert learner.contact is not None
     for ddpg in (learner.ddpg, learner.contact.ddpg):
-        update = ddpg.update
+        update = ddpg.update_block
 
-        def seen(batch: Transitions, update: Any = update) -> Any:
-            batches.append(batch)
-            return update(batch)
+        def seen(block: Transitions, count: int, update: Any = update) -> Any:
+            batches.extend(block.split(count))
+            return update(block, count)
 
-        ddpg.update = seen  # type: ignore[method-assign]
+        ddpg.update_block = seen  # type: ignore[method-assign]
     learner.add_real(real(1))
     real_rows = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
     learner.learn()

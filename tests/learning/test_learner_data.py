@@ -94,7 +94,7 @@ def test_the_share_of_imagined_transitions_is_that_of_newly_collected_ones() -> 
         assert metrics["imagined_transitions"] == imagined
         assert metrics["imagined_stored"] == 3 * TICKS
         assert metrics["imagined_share"] == pytest.approx(imagined / (imagined + collected))
-        told = learner.sample_batches(1)[0].source
+        told = learner.sample_block(1).source
         assert len(told) == 50
         assert int((told == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
 
@@ -102,14 +102,14 @@ def test_the_share_of_imagined_transitions_is_that_of_newly_collected_ones() -> 
 def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
     learner = new(quick(schedule={"workers": 3}))
     learner.add_real(real(1))
-    assert len(learner.sample_batches(1)[0].source) == 150
+    assert len(learner.sample_block(1).source) == 150
 
 
 def test_batches_that_are_drawn_together_are_as_large_and_as_mixed_as_one() -> None:
     learner = new(quick(imagination={"share": 0.4}))
     learner.add_real(real(1))
     learner.learn()
-    batches = learner.sample_batches(7)
+    batches = learner.sample_block(7).split(7)
     assert [len(batch.observation) for batch in batches] == [50] * 7
     assert [int((batch.source == IMAGINED).sum()) for batch in batches] == [20] * 7
     assert len({batch.goal.sum().item() for batch in batches}) == 7
@@ -196,7 +196,7 @@ def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_f
     learner.add_real(episodes)
     learner.ensemble.fit_normalizers(learner.real, learner.generator)
     learner.ensemble.train(learner.real, 2, batch_size=64, generator=learner.generator)
-    for action in (learner.sample_batches(1)[0].action, seen[-1]):
+    for action in (learner.sample_block(1).action, seen[-1]):
         assert (action >= 0).all()
         assert (action <= 1).all()
         assert bool((action > 0).any()) is (actions == "between")

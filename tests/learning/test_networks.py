@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from iher_robot.learning.networks import LARGEST_BLOCK, block_sizes, in_blocks, mlp
+from iher_robot.learning.networks import LARGEST_BLOCK, block_sizes, forward, in_blocks, mlp
 from tests.learning.stand_ins import generator
 
 
@@ -85,3 +85,31 @@ def test_blocks_of_any_number_of_rows_have_a_few_sizes_and_little_padding() -> N
         assert sum(blocks) - rows <= max(rows / 7, 31)
         sizes.update(blocks)
     assert sizes == {2**power for power in range(LARGEST_BLOCK.bit_length())}
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_products_of_less_precision_round_hidden_layers_and_nothing_else(layer_norm: bool) -> None:
+    network = mlp(4, (64, 64), 3, generator(), layer_norm=layer_norm)
+    inputs = torch.randn(100, 4, generator=generator(1))
+    exact = forward(network, inputs, torch.float32)
+    rounded = forward(network, inputs, torch.bfloat16)
+    assert torch.equal(exact, network(inputs))
+    assert rounded.dtype == torch.float32
+    assert not torch.equal(rounded, exact)
+    torch.testing.assert_close(rounded, exact, rtol=0.0, atol=0.02)
+    # Without a product between hidden layers nothing is rounded.
+    shallow = mlp(4, (64,), 3, generator(), layer_norm=layer_norm)
+    assert torch.equal(forward(shallow, inputs, torch.bfloat16), shallow(inputs))
+
+
+def test_gradients_through_rounded_products_are_nearly_those_through_exact_ones() -> None:
+    network = mlp(4, (64, 64), 1, generator(), layer_norm=True)
+    inputs = torch.randn(256, 4, generator=generator(1), requires_grad=True)
+    wanted = [inputs, *network.parameters()]
+    found = {}
+    for products in (torch.float32, torch.bfloat16):
+        loss = forward(network, inputs, products).square().mean()
+        found[products] = torch.autograd.grad(loss, wanted)
+    for exact, rounded in zip(found[torch.float32], found[torch.bfloat16], strict=True):
+        assert rounded.dtype == torch.float32
+        assert (rounded - exact).norm() < 0.03 * exact.norm()

@@ -201,13 +201,16 @@ def test_a_cached_intrinsic_reward_belongs_to_its_transition_and_dies_with_it() 
     assert (batch.intrinsic[batch.action[:, 0] == 1] >= 10).all()
 
 
-def test_batches_of_several_sources_are_joined_in_order() -> None:
-    real = sample(replay_of([marked_episode(1, TICKS)]), 3, 0.0)
-    imagined = sample(replay_of([marked_episode(2, TICKS)], source=IMAGINED), 2, 0.0)
-    joined = Transitions.concatenate([real, imagined])
-    assert joined.source.tolist() == [0, 0, 0, 1, 1]
-    assert joined.action[:, 0].tolist() == [1, 1, 1, 2, 2]
-    assert torch.equal(joined.goal, torch.cat([real.goal, imagined.goal]))
+def test_each_batch_of_a_block_has_its_share_of_every_source() -> None:
+    real = sample(replay_of([marked_episode(1, TICKS)]), 6, 0.0)
+    imagined = sample(replay_of([marked_episode(2, TICKS)], source=IMAGINED), 4, 0.0)
+    block = Transitions.interleave([real, imagined], 2)
+    assert block.source.tolist() == 2 * [0, 0, 0, 1, 1]
+    assert block.action[:, 0].tolist() == 2 * [1, 1, 1, 2, 2]
+    goals = [real.goal[:3], imagined.goal[:2], real.goal[3:], imagined.goal[2:]]
+    assert torch.equal(block.goal, torch.cat(goals))
+    for batch in block.split(2):
+        assert batch.source.tolist() == [0, 0, 0, 1, 1]
 
 
 @pytest.mark.parametrize("between", [False, True])
