@@ -73,7 +73,7 @@ def imagine(
         action = act(observations[-1])
         predictions = ensemble.predict(observations[-1], action)
         # Checked before bounding, which would turn an infinite prediction into a finite one.
-        finite &= predictions.isfinite().all(-1).all(0)
+        finite &= predictions.sum(dim=0).sum(dim=-1).isfinite()
         member = torch.randint(members, rows.shape, generator=generator, device=rows.device)
         following = ensemble.next_observation(observations[-1], predictions[member, rows])
         following = goal_model.complete(torch.clamp(following, low, high))
