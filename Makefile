@@ -3,7 +3,8 @@
 # make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
 # make test                           the test suite; ARGS="-k name" selects
 # make check                          format, lint, types, floors
-# make bench                          speeds on this machine, with medians (bench/throughput.py)
+# make bench                          speeds on this machine against rivals (python -m bench.speed)
+# make bench-sbx                      install sbx (JAX), one of the rivals, 0.6 GB
 # make bench-link                     round trips and ticks of a served robot (bench/link.py)
 # make bench-async                    wall clock to a solved task on a served robot (bench/asynchronous.py)
 # make bench-memory                   memory of the learner, full and over many epochs (bench/memory.py)
@@ -22,7 +23,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench bench-link bench-async bench-memory bench-journal faults format clean
+.PHONY: train install test check bench bench-sbx bench-link bench-async bench-memory bench-journal faults format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -42,7 +43,10 @@ check: .venv/dev
 	$(BIN)/lint-imports
 
 bench: .venv/dev
-	OMP_NUM_THREADS=1 $(BIN)/python bench/throughput.py $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m bench.speed $(ARGS)
+
+bench-sbx: .venv/dev
+	$(INSTALL) -e '.[bench-sbx]'
 
 bench-link: .venv/dev
 	$(BIN)/python bench/link.py $(ARGS)

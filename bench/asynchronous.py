@@ -16,19 +16,17 @@ import argparse
 import itertools
 import json
 import os
-import signal
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from bench.programs import host
 from iher_robot.accounts import read_accounts
 from iher_robot.episode_store import EpisodeReader
 from iher_robot.provenance import collect_provenance
@@ -51,32 +49,9 @@ COLUMNS = (
 )
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@contextmanager
-def host(memory: Path) -> Iterator[str]:
-    """Serve a simulated robot; yield where."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "iher_robot", "serve", "--listen", endpoint]
-    command += ["--memory", str(memory)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
-        assert process.stdout is not None
-        if not any(line.startswith("serving") for line in process.stdout):
-            raise SystemExit("the host did not start; try it by hand: iher-robot serve")
-        yield endpoint
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=60.0)
-
-
 def one_run(task: str, mode: str, seed: int, train_options: Sequence[str]) -> dict[str, float]:
     """Train once; return what it took."""
-    with tempfile.TemporaryDirectory() as scratch, host(Path(scratch) / "memory") as endpoint:
+    with tempfile.TemporaryDirectory() as scratch, host(Path(scratch) / "memory") as (endpoint, _):
         out = Path(scratch) / "run"
         command = [sys.executable, "-m", "iher_robot", "train", "--driver", "zenoh"]
         command += ["--connect", endpoint, "--task", task, "--seed", str(seed), f"--{mode}"]

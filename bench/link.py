@@ -13,10 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
-import socket
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.programs import host, program
 from drivers import JointCommand, ResetRequest, StaleState
 from drivers.remote import LinkOptions, ZenohDriver, link_options
 from drivers.remote.client import RobotClient
@@ -38,35 +36,6 @@ from iher_robot.provenance import collect_provenance
 START_S = 120.0
 PINGS = 500
 TARGETS_MS = {"state to command ms, p50": 1.5, "state to command ms, p99": 5.0}
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@contextmanager
-def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run iher-robot in a process of its own, and end it as a Ctrl-C does."""
-    command = [sys.executable, "-m", "iher_robot", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=60.0)
-
-
-@contextmanager
-def host(memory: Path) -> Iterator[tuple[LinkOptions, int]]:
-    """Serve a simulated robot; yield where, and the process of the watchdog."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with program("serve", "--listen", endpoint, "--memory", str(memory)) as process:
-        assert process.stdout is not None
-        if not any(line.startswith("serving") for line in process.stdout):
-            raise SystemExit("the host did not start; try it by hand: iher-robot serve")
-        yield link_options({"connect": [endpoint]}), process.pid
 
 
 @contextmanager
@@ -158,7 +127,8 @@ def measure(options: LinkOptions, seconds: float) -> dict[str, float]:
 def one_round(seconds: float, beside_training: bool) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        with host(folder / "memory") as (options, watchdog):
+        with host(folder / "memory") as (endpoint, watchdog):
+            options = link_options({"connect": [endpoint]})
             scheduled = {"real-time scheduling": float(real_time(watchdog))}
             if not beside_training:
                 return measure(options, seconds) | scheduled

@@ -1,0 +1,76 @@
+"""Learners of ours, with real episodes of random actions in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from itertools import islice
+
+from bench.memory import record, variations
+from bench.speed.comparison import Contender, Measure
+from bench.speed.precision import Precision
+from bench.speed.settings import Settings
+from iher_robot.config import load_config
+from iher_robot.env import make_env
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.learner import Learner
+from iher_robot.workcell import make_learner
+from tasks import GoalTask
+
+EPISODES_AN_EPOCH = 256
+FEW_STEPS = (
+    "learner.schedule.dynamics_steps=1",
+    "learner.schedule.first_epoch_dynamics_factor=1",
+    "learner.schedule.cycles=1",
+    "learner.schedule.batches=1",
+)
+OBSERVATION, GOAL, ACTION = 25, 3, 4
+"""Widths of Push."""
+
+
+def ours(precision: Precision, make: Callable[[], Measure], name: str = "iher_robot") -> Contender:
+    """A learner of ours, where it can compute so.
+
+    Args:
+        precision: In which it computes.
+        make: Makes the learner and warms it up.
+        name: What it is called.
+    """
+    if precision.missing:
+        return Contender(name, None, precision.missing)
+    return Contender(name, make())
+
+
+@cache
+def recorded() -> tuple[GoalTask, list[Episode]]:
+    """The task Push, and 3,200 transitions of it."""
+    env = make_env("push", actuation="mocap")
+    with env:
+        episodes = record(env)
+    return env.task, episodes
+
+
+def learner_of_push(settings: Settings, precision: Precision, overrides: Sequence[str]) -> Learner:
+    """An untrained learner with the sizes of the preset ``paper`` and some real episodes."""
+    task, episodes = recorded()
+    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides])
+    learner = make_learner(config, task, settings.device)
+    learner.add_real(episodes)
+    return learner
+
+
+def learner_with_models(settings: Settings, precision: Precision) -> Learner:
+    """One whose models can imagine, after an epoch of as few steps as there can be."""
+    learner = learner_of_push(settings, precision, FEW_STEPS)
+    with precision.on_this_process():
+        learner.learn()
+    return learner
+
+
+def fill(learner: Learner, transitions: int) -> None:
+    """Add real episodes until so many transitions are stored."""
+    _, episodes = recorded()
+    missing = (transitions - learner.real.num_transitions) // learner.shapes.episode_ticks
+    more = variations(episodes, missing, seed=0)
+    while batch := list(islice(more, EPISODES_AN_EPOCH)):
+        learner.add_real(batch)

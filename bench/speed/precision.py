@@ -1,0 +1,66 @@
+"""Precisions of matrix products, the same for all who compute with torch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+
+from iher_robot.learning.config import LearnerConfig
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How matrix products are computed.
+
+    Attributes:
+        name: As on the command line.
+        matmul: As in ``torch.set_float32_matmul_precision``; for the whole process.
+        products: Type of the factors.
+        overrides: Settings of a learner of ours that computes so.
+    """
+
+    name: str
+    matmul: str
+    products: torch.dtype
+    overrides: tuple[str, ...] = ()
+
+    @contextmanager
+    def on_this_process(self) -> Iterator[None]:
+        """Let torch compute its float32 products so."""
+        before = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision(self.matmul)
+        try:
+            yield
+        finally:
+            torch.set_float32_matmul_precision(before)
+
+    @contextmanager
+    def around_others(self, device: torch.device) -> Iterator[None]:
+        """Let code that knows nothing of precisions compute so."""
+        autocast = torch.autocast(
+            device.type, self.products, enabled=self.products != torch.float32
+        )
+        with self.on_this_process(), autocast:
+            yield
+
+    @property
+    def missing(self) -> str:
+        """Why a learner of ours cannot compute so; empty where it can."""
+        # Until the setting is there; its name is in this file alone.
+        if self.products != torch.float32 and "precision" not in LearnerConfig.model_fields:
+            return "not built"
+        return ""
+
+
+PRECISIONS = {
+    each.name: each
+    for each in (
+        Precision("fp32", "highest", torch.float32),
+        # Leave for less: bfloat16 inside where the CPU has units for it, TF32 on a GPU.
+        Precision("medium", "medium", torch.float32),
+        Precision("bf16", "highest", torch.bfloat16, ("learner.precision=bfloat16",)),
+    )
+}

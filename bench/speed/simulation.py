@@ -1,0 +1,153 @@
+"""Control ticks of simulated robots with random actions, resets included; inverse kinematics."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+
+from bench.speed.comparison import Comparison, Contender, Kind, Target
+from bench.speed.learners import learner_of_push
+from bench.speed.official import make_official
+from bench.speed.settings import Settings
+from iher_robot.config import load_config
+from iher_robot.env import GoalRobotEnv, make_env
+
+EPISODE_TICKS = 50
+RATIO = 1.3
+VECTOR = "gymnasium-robotics, asynchronous"
+
+
+@contextmanager
+def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
+    """Physics with a mocap body, with motors, and inverse kinematics alone."""
+    episodes = settings.sized(8, 1)
+    cores = len(os.sched_getaffinity(0))
+    with ExitStack() as stack:
+        mocap = stack.enter_context(make_env("push", actuation="mocap"))
+        joint = stack.enter_context(make_env("push"))
+        official = make_official()
+        stack.callback(official.close)
+        vectors = []
+        for workers in settings.sized([cores, 2 * cores], [1]):
+            vector = AsyncVectorEnv(
+                [make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP
+            )
+            stack.callback(vector.close)
+            measure = partial(ticks_per_second_of_vector, vector, episodes)
+            vectors.append(Contender(f"{VECTOR}, {workers} robots", measure))
+        yield [
+            Comparison(
+                topic="simulation",
+                work="control ticks, mocap physics",
+                unit="ticks/s",
+                kind=Kind.RATE,
+                contenders=(
+                    many_simulators(settings, stack, max(2, cores)),
+                    Contender(
+                        "iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes)
+                    ),
+                    Contender(
+                        "gymnasium-robotics, gym.make",
+                        partial(ticks_per_second, official, episodes),
+                    ),
+                    *vectors,
+                ),
+                target=Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
+            ),
+            Comparison(
+                topic="simulation",
+                work="control ticks, motors in the joints",
+                unit="ticks/s",
+                kind=Kind.RATE,
+                contenders=(
+                    Contender("iher_robot, one fetch", partial(ticks_per_second, joint, episodes)),
+                ),
+            ),
+            Comparison(
+                topic="simulation",
+                work="inverse kinematics, median of a random motion",
+                unit="solves/s",
+                kind=Kind.RATE,
+                contenders=(Contender("iher_robot", partial(solves_per_second, joint, episodes)),),
+            ),
+        ]
+
+
+def many_simulators(settings: Settings, stack: ExitStack, simulators: int) -> Contender:
+    """Whole episodes in several simulators at once, acted in by a policy."""
+    name = f"iher_robot, {simulators} fetch-mocap"
+    # Until it is there.
+    if importlib.util.find_spec("iher_robot.simulator_pool") is None:
+        return Contender(name, None, "not built")
+    from iher_robot.simulator_pool import SimulatorPool
+
+    config = load_config(
+        "push", "paper", "iher", (), {"simulators": simulators}, robot="fetch-mocap"
+    )
+    pool = stack.enter_context(SimulatorPool(config, EPISODE_TICKS))
+    learner = learner_of_push(settings, settings.precisions[0], ())
+    episodes = settings.sized(8, 1) * simulators
+
+    def measure(round_number: int) -> float:
+        started = time.perf_counter()
+        for _ in pool.run(learner, range(1_000 * round_number, 1_000 * round_number + episodes)):
+            pass
+        return episodes * EPISODE_TICKS / (time.perf_counter() - started)
+
+    measure(0)  # what starts at first
+    return Contender(name, measure, "with a policy")
+
+
+def ticks_per_second(env: gym.Env, episodes: int, round_number: int) -> float:
+    actions = random_actions(round_number, EPISODE_TICKS)
+    started = time.perf_counter()
+    for episode in range(episodes):
+        env.reset(seed=1_000 * round_number + episode)
+        for action in actions:
+            env.step(action)
+    seconds = time.perf_counter() - started
+    if isinstance(env, GoalRobotEnv):
+        env.hold()
+    return episodes * EPISODE_TICKS / seconds
+
+
+def ticks_per_second_of_vector(env: AsyncVectorEnv, episodes: int, round_number: int) -> float:
+    """Ticks of all its environments together; each resets itself in its last step."""
+    actions = random_actions(round_number, EPISODE_TICKS, env.num_envs)
+    started = time.perf_counter()
+    env.reset(seed=round_number)
+    for episode in range(episodes):
+        # The last one resets no more than the others do.
+        for action in actions[: EPISODE_TICKS - (episode == episodes - 1)]:
+            env.step(action)
+    seconds = time.perf_counter() - started
+    return (episodes * EPISODE_TICKS - 1) * env.num_envs / seconds
+
+
+def random_actions(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (*shape, 4)).astype(np.float32)
+
+
+def solves_per_second(env: GoalRobotEnv, episodes: int, round_number: int) -> float:
+    """From the median time of a joint command for an action."""
+    actions = random_actions(round_number, EPISODE_TICKS)
+    times = []
+    for episode in range(episodes):
+        env.reset(seed=1_000 * round_number + episode)
+        for action in actions:
+            state = env.driver.read()
+            started = time.perf_counter()
+            env.controller.command(action, state)
+            times.append(time.perf_counter() - started)
+            env.step(action)
+    env.hold()
+    return 1.0 / statistics.median(times)

@@ -1,0 +1,133 @@
+"""Gradient updates: sampling, hindsight relabelling, critic, actor and targets.
+
+Ours against Stable-Baselines3 and sbx: DDPG with three hidden layers of 256, one critic, targets
+moved at each update, four of five goals relabelled, 3,200 transitions of Push stored. Theirs see
+the achieved goal beside observation and goal; ours normalise what they see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+
+from bench.speed import products, sbx, stable_baselines
+from bench.speed.comparison import Comparison, Kind, Measure, Target
+from bench.speed.learners import ACTION, GOAL, OBSERVATION, fill, learner_of_push, ours
+from bench.speed.precision import Precision
+from bench.speed.products import Products
+from bench.speed.settings import Settings
+from bench.speed.timing import seconds_of
+from iher_robot.learning.replay import BLOCK
+
+HIDDEN = (256, 256, 256)
+TARGETS = {256: 3.0, 2048: 2.0}
+"""By batch: how many times as fast as Stable-Baselines3."""
+QUICK_TARGETS = {32: 3.0}
+STORED = (1_000_000, 100_000, 10_000)
+QUICK_STORED = (4_800, 3_200)
+FLAT = 0.9
+
+
+@contextmanager
+def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
+    """Updates against the rivals, and with more and more that is stored."""
+    targets = settings.sized(TARGETS, QUICK_TARGETS)
+    theirs = stable_baselines.agent(settings, HIDDEN)
+    with sbx.agent(settings, HIDDEN) as jax:
+        found = [
+            against_rivals(settings, precision, batch, ratio, theirs, jax)
+            for batch, ratio in targets.items()
+            for precision in settings.precisions
+        ]
+        yield [*found, with_more_stored(settings, settings.precisions[0])]
+
+
+def against_rivals(
+    settings: Settings,
+    precision: Precision,
+    batch: int,
+    ratio: float,
+    theirs: stable_baselines.Agent,
+    jax: sbx.Agent | sbx.Absent,
+) -> Comparison:
+    count, rival = updates_a_round(settings, batch), stable_baselines.NAME
+    return Comparison(
+        topic="updates",
+        work=f"gradient updates, batch {batch:,}",
+        unit="updates/s",
+        kind=Kind.RATE,
+        contenders=(
+            ours(precision, partial(learner_measure, settings, precision, batch)),
+            theirs.contender(precision, batch, count),
+            jax.contender(precision, batch, count),
+        ),
+        precision=precision,
+        products=work(batch),
+        target=Target(f"{ratio:g} x {rival}", rival=rival, ratio=ratio),
+    )
+
+
+def work(batch: int) -> Products:
+    operations = products.update(batch, OBSERVATION + GOAL, ACTION, HIDDEN)
+    return Products(operations, rows=batch, width=HIDDEN[0])
+
+
+def updates_a_round(settings: Settings, batch: int) -> int:
+    """About as many seconds at each batch; whole blocks, as the learner draws them."""
+    return settings.sized(5 if batch == 256 else 1, 1) * BLOCK
+
+
+def learner_measure(
+    settings: Settings, precision: Precision, batch: int, stored: int | None = None
+) -> Measure:
+    count = updates_a_round(settings, batch)
+    learner = learner_of_push(settings, precision, overrides(batch, count, stored))
+    if stored is not None:
+        fill(learner, stored)
+
+    def measure(_: int) -> float:
+        with precision.on_this_process():
+            # An epoch without models and imagination is its updates and nothing else.
+            return count / seconds_of(learner.learn, settings.device)
+
+    measure(0)  # what is compiled and allocated at first
+    return measure
+
+
+def overrides(batch: int, count: int, stored: int | None) -> Sequence[str]:
+    return [
+        "learner.schedule.workers=1",
+        f"learner.schedule.batches={BLOCK}",
+        f"learner.schedule.cycles={count // BLOCK}",
+        f"learner.replay.capacity={stored or 100_000}",
+        f"learner.ddpg.batch_size={batch}",
+        "learner.ddpg.source_input=false",
+        "learner.ddpg.target_update=update",
+        "learner.imagination.enabled=false",
+        "learner.intrinsic.enabled=false",
+    ]
+
+
+def with_more_stored(settings: Settings, precision: Precision) -> Comparison:
+    """Whether an update costs the same however much there is to draw from."""
+    batch = settings.sized(256, 32)
+    contenders = tuple(
+        ours(
+            precision,
+            partial(learner_measure, settings, precision, batch, stored),
+            f"iher_robot, {stored:,} stored",
+        )
+        for stored in settings.sized(STORED, QUICK_STORED)
+    )
+    least = contenders[-1].name
+    return Comparison(
+        topic="updates",
+        work="gradient updates from a fuller replay",
+        unit="updates/s",
+        kind=Kind.RATE,
+        contenders=contenders,
+        precision=precision,
+        products=work(batch),
+        target=Target(f"{FLAT:g} x {least}", rival=least, ratio=FLAT),
+    )
