@@ -15,6 +15,7 @@ from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
+from iher_robot.learning.precision import set_float32_products
 from tasks import GoalTask
 
 CPU = torch.device("cpu")
@@ -119,8 +120,7 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
 def prepare_torch(config: RunConfig) -> None:
     """Set what torch keeps for a whole process."""
     torch.set_num_threads(config.threads)
-    precision = config.learner.matmul_precision
-    torch.set_float32_matmul_precision("highest" if precision == "bfloat16" else precision)
+    set_float32_products(config.learner.matmul_precision)
 
 
 def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Learner:

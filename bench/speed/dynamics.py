@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 
 from bench.speed import products
-from bench.speed.comparison import Comparison, Kind, Measure
-from bench.speed.learners import ACTION, OBSERVATION, learner_of_push, ours
+from bench.speed.comparison import Comparison, Contender, Kind, Measure
+from bench.speed.learners import ACTION, OBSERVATION, OURS, learner_of_push
 from bench.speed.precision import Precision
 from bench.speed.products import Products
 from bench.speed.settings import Settings
@@ -29,7 +28,7 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
             work=f"dynamics training steps, {MEMBERS} models, batch {batch:,}",
             unit="steps/s",
             kind=Kind.RATE,
-            contenders=(ours(precision, partial(training, settings, precision, batch)),),
+            contenders=(Contender(OURS, training(settings, precision, batch)),),
             precision=precision,
             products=Products(
                 products.dynamics_step(batch, MEMBERS, MODEL), rows=batch, width=MODEL[1]

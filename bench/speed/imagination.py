@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 
 from bench.speed import products
-from bench.speed.comparison import Comparison, Kind, Measure, Target
+from bench.speed.comparison import Comparison, Contender, Kind, Measure, Target
 from bench.speed.dynamics import MEMBERS, MODEL
-from bench.speed.learners import ACTION, GOAL, OBSERVATION, learner_with_models, ours
+from bench.speed.learners import ACTION, GOAL, OBSERVATION, OURS, learner_with_models
 from bench.speed.machine import has_matrix_units
 from bench.speed.precision import Precision
 from bench.speed.products import Products
@@ -40,7 +39,7 @@ def rollouts_at_once(settings: Settings, precision: Precision) -> Comparison:
         work=f"imagined transitions, {rollouts:,} rollouts at once",
         unit="transitions/s",
         kind=Kind.RATE,
-        contenders=(ours(precision, partial(adding, settings, precision, rollouts)),),
+        contenders=(Contender(OURS, adding(settings, precision, rollouts)),),
         precision=precision,
         products=transitions(1),
     )
@@ -56,7 +55,7 @@ def whole_refill(settings: Settings, precision: Precision) -> Comparison:
         work=f"{count:,} transitions imagined anew",
         unit="s",
         kind=Kind.SECONDS,
-        contenders=(ours(precision, partial(refilling, settings, precision, count)),),
+        contenders=(Contender(OURS, refilling(settings, precision, count)),),
         precision=precision,
         products=transitions(count),
         target=target,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from itertools import islice
 
 from bench.memory import record, variations
-from bench.speed.comparison import Contender, Measure
 from bench.speed.precision import Precision
 from bench.speed.settings import Settings
 from iher_robot.config import load_config
@@ -17,6 +16,7 @@ from iher_robot.learning.learner import Learner
 from iher_robot.workcell import make_learner
 from tasks import GoalTask
 
+OURS = "iher_robot"
 EPISODES_AN_EPOCH = 256
 FEW_STEPS = (
     "learner.schedule.dynamics_steps=1",
@@ -26,19 +26,6 @@ FEW_STEPS = (
 )
 OBSERVATION, GOAL, ACTION = 25, 3, 4
 """Widths of Push."""
-
-
-def ours(precision: Precision, make: Callable[[], Measure], name: str = "iher_robot") -> Contender:
-    """A learner of ours, where it can compute so.
-
-    Args:
-        precision: In which it computes.
-        make: Makes the learner and warms it up.
-        name: What it is called.
-    """
-    if precision.missing:
-        return Contender(name, None, precision.missing)
-    return Contender(name, make())
 
 
 @cache
@@ -53,7 +40,8 @@ def recorded() -> tuple[GoalTask, list[Episode]]:
 def learner_of_push(settings: Settings, precision: Precision, overrides: Sequence[str]) -> Learner:
     """An untrained learner with the sizes of the preset ``paper`` and some real episodes."""
     task, episodes = recorded()
-    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides])
+    graphs = f"learner.cuda_graphs={str(settings.device.type == 'cuda').lower()}"
+    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides, graphs])
     learner = make_learner(config, task, settings.device)
     learner.add_real(episodes)
     return learner

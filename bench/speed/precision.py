@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import torch
 
-from iher_robot.learning.config import LearnerConfig
-
 
 @dataclass(frozen=True)
 class Precision:
@@ -46,14 +44,6 @@ class Precision:
         with self.on_this_process(), autocast:
             yield
 
-    @property
-    def missing(self) -> str:
-        """Why a learner of ours cannot compute so; empty where it can."""
-        # Until the setting is there; its name is in this file alone.
-        if self.products != torch.float32 and "precision" not in LearnerConfig.model_fields:
-            return "not built"
-        return ""
-
 
 PRECISIONS = {
     each.name: each
@@ -61,6 +51,6 @@ PRECISIONS = {
         Precision("fp32", "highest", torch.float32),
         # Leave for less: bfloat16 inside where the CPU has units for it, TF32 on a GPU.
         Precision("medium", "medium", torch.float32),
-        Precision("bf16", "highest", torch.bfloat16, ("learner.precision=bfloat16",)),
+        Precision("bf16", "highest", torch.bfloat16, ("learner.matmul_precision=bfloat16",)),
     )
 }

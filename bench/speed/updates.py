@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 
 from bench.speed import products, sbx, stable_baselines
-from bench.speed.comparison import Comparison, Kind, Measure, Target
-from bench.speed.learners import ACTION, GOAL, OBSERVATION, fill, learner_of_push, ours
+from bench.speed.comparison import Comparison, Contender, Kind, Measure, Target
+from bench.speed.learners import ACTION, GOAL, OBSERVATION, OURS, fill, learner_of_push
 from bench.speed.precision import Precision
 from bench.speed.products import Products
 from bench.speed.settings import Settings
@@ -58,7 +57,7 @@ def against_rivals(
         unit="updates/s",
         kind=Kind.RATE,
         contenders=(
-            ours(precision, partial(learner_measure, settings, precision, batch)),
+            Contender(OURS, learner_measure(settings, precision, batch)),
             theirs.contender(precision, batch, count),
             jax.contender(precision, batch, count),
         ),
@@ -113,11 +112,7 @@ def with_more_stored(settings: Settings, precision: Precision) -> Comparison:
     """Whether an update costs the same however much there is to draw from."""
     batch = settings.sized(256, 32)
     contenders = tuple(
-        ours(
-            precision,
-            partial(learner_measure, settings, precision, batch, stored),
-            f"iher_robot, {stored:,} stored",
-        )
+        Contender(f"{OURS}, {stored:,} stored", learner_measure(settings, precision, batch, stored))
         for stored in settings.sized(STORED, QUICK_STORED)
     )
     least = contenders[-1].name

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-import torch
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from iher_robot.learning.precision import Precision
 
 
 def _none_if_off(value: object) -> object:
@@ -266,12 +267,11 @@ class LearnerConfig(Section):
     exploration: ExplorationConfig = ExplorationConfig()
     symmetry: SymmetryConfig = SymmetryConfig()
     contact: ContactConfig = ContactConfig()
-    matmul_precision: Literal["highest", "high", "medium", "bfloat16"] = "medium"
+    matmul_precision: Precision = "medium"
     """Precision of matrix products: of float32 ones as in ``torch.set_float32_matmul_precision``,
-    which is up to the hardware; or ``bfloat16`` between hidden layers wherever the learner
-    computes, while weights, their sums of gradients, and the first and last layers stay float32."""
-
-    @property
-    def products(self) -> torch.dtype:
-        """Type of the matrix products between hidden layers."""
-        return torch.bfloat16 if self.matmul_precision == "bfloat16" else torch.float32
+    where what ``medium`` does is up to the hardware; or ``bfloat16`` between hidden layers, while
+    weights, their gradients' sums and moments, and the first and the last layer stay float32;
+    ``auto`` takes bfloat16 where the hardware has instructions for it, else ``medium``."""
+    cuda_graphs: bool = False
+    """On a GPU, record a block of updates once and replay it, in place of launching each kernel.
+    Not where ``ddpg.target_subset`` draws from more critics. Nobody has run it yet: off."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
 from torch import nn
 
+from iher_robot.learning.captured import Captured, Tensors
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.critics import Critics
 from iher_robot.learning.flat import Flat
@@ -59,7 +61,7 @@ class Steps:
     action: torch.Tensor
     next_features: torch.Tensor
     reward: torch.Tensor
-    members: list[list[int]] | None
+    members: list[list[int]] | None = None
 
 
 class DDPG:
@@ -102,9 +104,13 @@ class DDPG:
         self._target_critics = copy.deepcopy(self.critics)
         self._flat = {name: Flat(module) for name, module in self._modules().items()}
         self._optimizers = {
-            name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True)
+            name: torch.optim.Adam(
+                [self._flat[name].values], lr=lr, fused=True, capturable=device.type == "cuda"
+            )
             for name, lr in (("actor", config.ddpg.actor_lr), ("critics", config.ddpg.critic_lr))
         }
+        graphs = config.cuda_graphs and device.type == "cuda"
+        self._captured = Captured() if graphs else None
 
     @torch.no_grad()
     def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
@@ -177,14 +183,27 @@ class DDPG:
         Returns:
             Means over the steps, as tensors so that a GPU need not wait.
         """
-        steps = self._steps(block, count)
+        steps, phase = self._steps(block, count), self._phase
+        self._phase = (phase + count) % self.config.ddpg.actor_period
+        if self._captured is None or steps.members is not None:
+            return self._take(steps, phase)
+        tensors = (steps.features, steps.action, steps.next_features, steps.reward)
+        return self._captured.run((count, phase), tensors, partial(self._take_captured, phase))
+
+    def _take_captured(self, phase: int, tensors: Tensors) -> dict[str, torch.Tensor]:
+        features, action, next_features, reward = tensors
+        return self._take(Steps(features, action, next_features, reward), phase)
+
+    def _take(self, steps: Steps, phase: int) -> dict[str, torch.Tensor]:
         reports: dict[str, list[torch.Tensor]] = defaultdict(list)
-        for step in range(count):
-            for name, value in self._update(steps, step).items():
+        period = self.config.ddpg.actor_period
+        for step in range(len(steps.features)):
+            report = self._update(steps, step, moves_actor=(phase + step) % period == 0)
+            for name, value in report.items():
                 reports[name].append(value)
         return {name: torch.stack(values).mean() for name, values in reports.items()}
 
-    def _update(self, steps: Steps, step: int) -> dict[str, torch.Tensor]:
+    def _update(self, steps: Steps, step: int, *, moves_actor: bool) -> dict[str, torch.Tensor]:
         target, clipped = self._targets(steps, step)
         features = steps.features[step]
         value = self.critics(features, steps.action[step])
@@ -195,9 +214,8 @@ class DDPG:
             "critic_loss": squared.detach().mean(),
             "target_clipped": clipped.float().mean(),
         }
-        if self._phase == 0:
+        if moves_actor:
             report["q"] = self._update_actor(features)
-        self._phase = (self._phase + 1) % self.config.ddpg.actor_period
         self._updates += 1
         if (average := self.config.ddpg.policy_average) is not None:
             # At first the plain mean, so that nothing of the initial weights stays in it.
@@ -266,3 +284,5 @@ class DDPG:
         # Optimisers keep the tensors that they load and then write to them.
         for name, optimizer in self._optimizers.items():
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
+        if self._captured is not None:
+            self._captured.forget()

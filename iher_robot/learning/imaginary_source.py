@@ -132,7 +132,7 @@ class ImaginarySource:
         self.replay.clear()
         if self._branches:
             return {}
-        policies = [policy, *self._older_policies(cycle)]
+        policies = [policy, *self._older_policies(cycle, policy.products)]
         share = max(self.rollouts_per_policy, -(-self._missing() // len(policies)))
         meter = Meter()
         while self._missing():
@@ -158,12 +158,10 @@ class ImaginarySource:
         """Episodes that are missing to the source's level."""
         return -(-(self.level - self.replay.num_transitions) // self.shapes.episode_ticks)
 
-    def _older_policies(self, cycle: int) -> Iterator[Policy]:
+    def _older_policies(self, cycle: int, products: torch.dtype) -> Iterator[Policy]:
         for copied_at, snapshot in reversed(self.policy_copies):
             if copied_at != cycle:
-                yield Policy.from_snapshot(
-                    snapshot, device=self.device, products=self.config.products
-                )
+                yield Policy.from_snapshot(snapshot, device=self.device, products=products)
 
     def add_rollouts(
         self,

@@ -90,7 +90,7 @@ class Learner:
             generator=initial,
             device=device,
             symmetry=self.symmetry,
-            products=config.products,
+            products=self.policy.products,
         )
         self.generator = torch.Generator(device).manual_seed(seed)
         self.real = self._real_replay(config.replay.capacity)

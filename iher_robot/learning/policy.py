@@ -12,6 +12,7 @@ from iher_robot.learning.config import ExplorationConfig, LearnerConfig
 from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
 from iher_robot.learning.networks import forward, in_blocks, mlp
 from iher_robot.learning.normalizer import RunningNormalizer
+from iher_robot.learning.precision import products_of
 
 
 class Policy:
@@ -82,7 +83,7 @@ class Policy:
             normalizer_std_floor=config.replay.normalizer_std_floor,
             generator=generator,
             device=device,
-            products=config.products,
+            products=products_of(config.matmul_precision, device),
         )
 
     @property

@@ -1,0 +1,36 @@
+"""In which precision matrices are multiplied."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+
+Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+
+
+def products_of(precision: Precision, device: torch.device) -> torch.dtype:
+    """Type of the products between hidden layers.
+
+    Args:
+        precision: As in ``LearnerConfig.matmul_precision``.
+        device: Where they are computed.
+    """
+    if precision == "bfloat16" or (precision == "auto" and multiplies_bfloat16(device)):
+        return torch.bfloat16
+    return torch.float32
+
+
+def set_float32_products(precision: Precision) -> None:
+    """Set how this process multiplies what stays float32."""
+    torch.set_float32_matmul_precision(
+        "medium" if precision == "auto" else "highest" if precision == "bfloat16" else precision
+    )
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether the hardware has instructions for it, and so does it faster than float32."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    has = torch.cpu.get_capabilities()
+    return bool(has.get("avx512_bf16") or has.get("amx_bf16"))

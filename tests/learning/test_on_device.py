@@ -1,0 +1,115 @@
+"""What a learner computes on a device: nothing of an update waits for it, and graphs repeat it.
+
+There is no GPU where this is tested; that nothing is asked of the device shows on a CPU as well.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from iher_robot.learning.learner import Learner
+from iher_robot.learning.replay import BLOCK
+from tests.learning.point_mass import SHAPES, PointMassGoals
+from tests.learning.quick_learner import new, quick, real
+from tests.learning.stand_ins import FarAwaySymmetry
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "default": {
+        "ddpg": {
+            "critics": 2,
+            "target_subset": 2,
+            "layer_norm": True,
+            "actor_period": 2,
+            "target_update": "update",
+            "policy_average": 0.01,
+        },
+        "replay": {"still_weight": 0.1, "actions": "between"},
+        "symmetry": {"enabled": True},
+        "contact": {"enabled": True},
+    },
+}
+DECLARED: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "default": {"symmetry": FarAwaySymmetry(), "contact_model": PointMassGoals()},
+}
+
+
+class NothingIsAsked(TorchDispatchMode):
+    """Refuses what makes the processor wait for a GPU: values, or shapes that follow from them."""
+
+    WAITS = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "is_nonzero", "equal")
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = func.overloadpacket.__name__
+        assert name not in self.WAITS, name
+        if name in ("index", "index_put", "index_put_"):
+            assert all(each is None or each.dtype != torch.bool for each in args[1]), name
+        return func(*args, **(kwargs or {}))
+
+
+def learner_of(name: str) -> Learner:
+    settings = SETTINGS[name] | {"imagination": {"share": 0.5}}
+    learner = new(quick(**settings), **DECLARED[name])
+    learner.add_real(real(1))
+    learner.learn()
+    return learner
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_block_of_updates_never_waits_for_the_device(name: str) -> None:
+    learner = learner_of(name)
+    before = learner.ddpg.state_dict()["critics"]
+    with NothingIsAsked():  # type: ignore[no-untyped-call]
+        learner.ddpg.update_block(learner.sample_block(BLOCK), BLOCK)
+    after = learner.ddpg.state_dict()["critics"]
+    assert any(not torch.equal(before[key], after[key]) for key in before)
+
+
+def test_what_waits_is_noticed() -> None:
+    values = torch.arange(3.0)
+    for waits in (lambda: float(values[0]), lambda: values[values > 1], lambda: bool(values.any())):
+        with pytest.raises(AssertionError), NothingIsAsked():  # type: ignore[no-untyped-call]
+            waits()
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_block_of_updates_does_what_single_ones_do(name: str) -> None:
+    together, apart = learner_of(name), learner_of(name)
+    count = 7
+    block = together.sample_block(count)
+    wanted = [apart.ddpg.update(batch) for batch in block.split(count)]
+    report = together.ddpg.update_block(block, count)
+    for key in ("critics", "target_critics", "target_actor", "mean_actor"):
+        found, alone = together.ddpg.state_dict()[key], apart.ddpg.state_dict()[key]
+        for each in found:
+            torch.testing.assert_close(found[each], alone[each])
+    for key in report:
+        values = [float(one[key]) for one in wanted if key in one]
+        assert float(report[key]) == pytest.approx(sum(values) / len(values), rel=1e-4)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@pytest.mark.parametrize("name", SETTINGS)
+def test_replayed_graphs_learn_what_launched_kernels_do(name: str) -> None:
+    learned = []
+    for graphs in (False, True):
+        config = quick(**SETTINGS[name]).model_copy(update={"cuda_graphs": graphs})
+        learner = Learner(
+            SHAPES,
+            PointMassGoals(),
+            config,
+            seed=0,
+            device=torch.device("cuda"),
+            **DECLARED[name],
+        )
+        for epoch in (1, 2, 3):
+            learner.add_real(real(epoch))
+            learner.learn()
+        learned.append(learner.ddpg.state_dict()["critics"])
+    for key, expected in learned[0].items():
+        torch.testing.assert_close(learned[1][key], expected, rtol=1e-3, atol=1e-4)
