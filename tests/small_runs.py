@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,17 +12,21 @@ from typing import Any
 
 import pytest
 
+import iher_robot.workcell
 from iher_robot.accounts import read_accounts
 from iher_robot.episode_store import EpisodeReader
 from iher_robot.train import TrainResult, train
 
-TINY = (
+TINY_LEARNER = (
     "learner.schedule.cycles=2",
     "learner.schedule.batches=5",
     "learner.schedule.dynamics_steps=5",
     "learner.schedule.policy_copy_cycles=2",
     "learner.ddpg.batch_size=64",
     "learner.dynamics.hidden=[32, 32]",
+)
+TINY = (
+    *TINY_LEARNER,
     "evaluation.episodes=2",
     "evaluation.final_episodes=2",
 )
@@ -76,3 +82,15 @@ def interruption(owner: type, name: str, call: int) -> Iterator[None]:
         patch.setattr(owner, name, counted)
         with pytest.raises(Interruption):
             yield
+
+
+def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let runs have their robot and no other to be evaluated on, as with a physical one."""
+    original = iher_robot.workcell.open_workcell
+
+    @contextmanager
+    def without_simulator(config: Any) -> Iterator[Any]:
+        with original(config) as cell:
+            yield dataclasses.replace(cell, simulator=None)
+
+    monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import gc
 import itertools
 import json
@@ -39,7 +38,15 @@ from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.train import resume, train
 from iher_robot.workcell import make_learner, open_workcell
 from tests.remote.served import PATIENT, ServedRobot, eventually, is_running
-from tests.small_runs import TINY, interruption, metrics, motion_ticks, run, stored_ticks
+from tests.small_runs import (
+    TINY,
+    interruption,
+    leave_out_the_simulator,
+    metrics,
+    motion_ticks,
+    run,
+    stored_ticks,
+)
 
 MINUTES = 0.15001  # 225 ticks: two epochs of 100 ticks and a quarter of one
 TICKS = 225
@@ -238,14 +245,7 @@ def test_data_of_earlier_runs_are_learned_from_before_the_robot_moves(
 def test_a_robot_that_is_the_only_one_is_evaluated_with_the_policy_of_the_epoch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = iher_robot.workcell.open_workcell
-
-    @contextmanager
-    def without_simulator(config: Any) -> Iterator[Any]:
-        with original(config) as cell:
-            yield dataclasses.replace(cell, simulator=None)
-
-    monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)
+    leave_out_the_simulator(monkeypatch)
     run(tmp_path / "run", MINUTES, "evaluation.robot_episodes=1", asynchronous=True)
     kept = [(s.account, s.epoch) for s in EpisodeReader(tmp_path / "run" / "episodes")]
     motion = [epoch for account, epoch in kept if account == "motion"]

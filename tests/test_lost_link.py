@@ -28,16 +28,9 @@ from iher_robot.train import resume, train
 from iher_robot.training_run import TrainingRun
 from iher_robot.workcell import open_workcell
 from tests.drivers.fake_robot import FakeRobot, fake_spec
+from tests.small_runs import TINY_LEARNER
 
-TINY = (
-    "learner.schedule.cycles=2",
-    "learner.schedule.batches=5",
-    "learner.schedule.dynamics_steps=5",
-    "learner.schedule.policy_copy_cycles=2",
-    "learner.ddpg.batch_size=64",
-    "learner.dynamics.hidden=[32, 32]",
-    "evaluation.robot_episodes=1",
-)
+TINY = (*TINY_LEARNER, "evaluation.robot_episodes=1")
 MINUTES = 0.0667  # a little more than 100 ticks
 
 

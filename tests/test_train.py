@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -37,6 +35,7 @@ from tests.small_runs import (
     TINY,
     Interruption,
     interruption,
+    leave_out_the_simulator,
     metrics,
     motion_ticks,
     run,
@@ -168,14 +167,7 @@ def test_an_episode_without_a_whole_tick_does_not_stop_a_resume(
 def test_evaluation_on_a_robot_is_kept_and_charged_to_its_own_account(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = iher_robot.workcell.open_workcell
-
-    @contextmanager
-    def without_simulator(config: Any) -> Iterator[Any]:
-        with original(config) as cell:
-            yield dataclasses.replace(cell, simulator=None)
-
-    monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)
+    leave_out_the_simulator(monkeypatch)
     run(tmp_path / "run", EPOCH_MINUTES, "evaluation.robot_episodes=2")
     kept = [(s.account, s.epoch) for s in EpisodeReader(tmp_path / "run" / "episodes")]
     assert kept == [("motion", 1)] * 2 + [("evaluation", 1)] * 2
