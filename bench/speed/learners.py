@@ -40,8 +40,8 @@ def recorded() -> tuple[GoalTask, list[Episode]]:
 def learner_of_push(settings: Settings, precision: Precision, overrides: Sequence[str]) -> Learner:
     """An untrained learner with the sizes of the preset ``paper`` and some real episodes."""
     task, episodes = recorded()
-    graphs = f"learner.cuda_graphs={str(settings.device.type == 'cuda').lower()}"
-    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides, graphs])
+    graphs = ["learner.cuda_graphs=true"] if settings.device.type == "cuda" else []
+    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides, *graphs])
     learner = make_learner(config, task, settings.device)
     learner.add_real(episodes)
     return learner
