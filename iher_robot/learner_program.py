@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import select
 import signal
-import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
@@ -15,7 +13,8 @@ from drivers import DriverError
 from drivers.remote.driver import read_spec
 from iher_robot.config import RunConfig
 from iher_robot.errors import UserError
-from iher_robot.learner_messages import (
+from iher_robot.own_process import end_with_the_other_side
+from iher_robot.process_messages import (
     Message,
     receive_message,
     send_message,
@@ -33,20 +32,12 @@ def main(descriptor: int) -> None:
         descriptor: Of the socket to the run.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
-    threading.Thread(target=_end_with_the_run, args=(descriptor,), daemon=True).start()
+    end_with_the_other_side(descriptor)  # in the middle of learning, too
     connection = Connection(descriptor)
     try:
         _serve(connection)
     except (UserError, DriverError, TaskError) as error:
         send_message(connection, {"kind": "failed", "sentence": str(error)})
-
-
-def _end_with_the_run(descriptor: int) -> None:
-    """End at once, in the middle of learning too, when the run is gone."""
-    hangup = select.poll()
-    hangup.register(descriptor, 0)  # no event but that the other side is gone
-    hangup.poll()
-    os._exit(1)
 
 
 def _serve(connection: Connection) -> None:
