@@ -21,7 +21,13 @@ from iher_robot.process_messages import (
     unpack_episodes,
 )
 from iher_robot.run_learner import learn_epoch
-from iher_robot.workcell import make_learner, pick_device, prepare_torch
+from iher_robot.workcell import (
+    make_learner,
+    open_pool,
+    pick_device,
+    prepare_torch,
+    seeds_runner,
+)
 from tasks import TaskError, make_task
 
 
@@ -55,9 +61,10 @@ def _serve(connection: Connection) -> None:
             )
 
     with ExitStack() as stack:
-        simulator = None
+        run_seeds = None
         if begin["simulated"]:
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
+            run_seeds = seeds_runner(simulator, open_pool(config, simulator, stack))
         if begin["state"] is not None:
             finished = (
                 unpack_episodes(receive_message(connection)["episodes"])
@@ -70,7 +77,7 @@ def _serve(connection: Connection) -> None:
                 learner,
                 unpack_episodes(order["episodes"]),
                 config,
-                simulator if order["evaluate"] else None,
+                run_seeds if order["evaluate"] else None,
                 progress,
             )
             send_message(connection, _learned(metrics, learner.state_dict()))
