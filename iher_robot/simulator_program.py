@@ -37,6 +37,8 @@ def main(descriptor: int) -> None:
     connection = Connection(descriptor)
     try:
         _serve(connection)
+    except EOFError:
+        pass  # the other side is gone, and this process is about to be
     except _TOLD as error:
         send_message(connection, {"kind": "failed", "sentence": str(error)})
 
