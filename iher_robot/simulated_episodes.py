@@ -5,7 +5,6 @@ Which episodes there are, and what is in them, does not depend on how many run a
 
 from __future__ import annotations
 
-import math
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -16,7 +15,6 @@ from drivers.closing import Closing
 from iher_robot.budget import Budget
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
-from iher_robot.kept_recorder import RESET_AHEAD_S
 from iher_robot.learning.learner import Learner
 from iher_robot.ledger import Entry
 from iher_robot.simulated_episode import Order, SimulatedEpisode
@@ -46,7 +44,6 @@ class SimulatedEpisodes(Closing):
         budget: What may be spent.
         store: Keeps the episodes.
         seed_of: Seed of an episode, by its number.
-        control_period_ns: Of the robot that the simulators stand for.
     """
 
     def __init__(
@@ -55,10 +52,8 @@ class SimulatedEpisodes(Closing):
         budget: Budget,
         store: EpisodeStore,
         seed_of: Callable[[int], int],
-        control_period_ns: int,
     ) -> None:
         self._pool = pool
-        self._period_ns = control_period_ns
         self._budget = budget
         self._store = store
         self._seed_of = seed_of
@@ -94,11 +89,13 @@ class SimulatedEpisodes(Closing):
                 self._begin(epoch, self._seed_of(first + begun), self._next_ticks)
                 begun += 1
             if self._under_way and self._under_way[0].ticket.arrived:
+                in_order = self._in_order
                 episode = self._keep(self._under_way[0])
                 self._under_way.popleft()  # not before: an interrupt must find it here
                 if episode.failure:
                     raise UserError(episode.failure)
-                yield episode
+                if in_order:
+                    yield episode
             elif self._under_way or (begun < count and self._in_order and self._next_ticks):
                 self._pool.wait()
             else:
@@ -131,8 +128,9 @@ class SimulatedEpisodes(Closing):
         return min(self._pool.episode_ticks, remaining)
 
     def _begin(self, epoch: int, seed: int, ticks: int) -> None:
-        ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
         motion = self._stack.enter_context(self._budget.reserve(ticks))
+        # Of a simulated robot, for which nobody walks to a table, far more than a reset takes.
+        ahead = self._pool.episode_ticks
         reset = self._stack.enter_context(self._budget.ledger.reserve("reset", ahead))
         ticket = self._pool.start(Order(seed, ticks, explores=True))
         self._under_way.append(_UnderWay(epoch, seed, ticket, motion, reset))

@@ -98,8 +98,7 @@ class TrainingRun:
         pool = self.cell.pool
         if pool is None or self.config.learner.schedule.real_episodes == 1:
             return None  # one episode is no work to be shared
-        period_ns = self.cell.env.robot_spec.control_period_ns
-        return SimulatedEpisodes(pool, self.budget, self.store, self._seed, period_ns)
+        return SimulatedEpisodes(pool, self.budget, self.store, self._seed)
 
     def _make_learning(self) -> RunLearner:
         if self.config.asynchronous:

@@ -153,6 +153,12 @@ def test_a_run_goes_on_with_another_number_of_simulators(
     assert metrics(out) == metrics(one_after_the_other)
 
 
+def test_a_learner_beside_evaluates_the_same_in_simulators_of_its_own(tmp_path: Path) -> None:
+    run(tmp_path / "one", asynchronous=True)
+    run(tmp_path / "two", asynchronous=True, simulators=2)
+    assert_same_run(tmp_path / "two", tmp_path / "one")
+
+
 def test_what_explores_in_another_process_is_what_would_explore_here() -> None:
     """The second policy of Push included, before and after it rests."""
     config = load_config("push", "default", "iher", ["simulators=2"], {}, robot="fetch-mocap")
@@ -252,7 +258,7 @@ def collect(
         EpisodeStore(folder / "episodes") as store,
     ):
         budget = Budget(ledger, budget_ticks)
-        episodes = SimulatedEpisodes(pool, budget, store, lambda number: number, 40_000_000)
+        episodes = SimulatedEpisodes(pool, budget, store, lambda number: number)
         collected, epoch = 0, 1
         learner: Any = None
         with episodes:
