@@ -11,7 +11,7 @@ from iher_robot import UserError
 from iher_robot.cli_interrupts import told_when_interrupted
 from iher_robot.cli_options import ConnectOption, DriverOption, RobotOption
 
-_BESIDE_RESUME = {"resume", "display", "video"}
+_BESIDE_RESUME = {"resume", "display", "simulators", "video"}
 
 
 def train(
@@ -65,6 +65,12 @@ def train(
             show_default=False,
         ),
     ] = None,
+    simulators: Annotated[
+        int | None,
+        typer.Option(
+            help="Simulated robots side by side, each on a core of its own.", show_default=False
+        ),
+    ] = None,
     video: Annotated[
         bool, typer.Option("--video", help="Film the final policy; needs the extra 'video'.")
     ] = False,
@@ -79,7 +85,7 @@ def train(
         with told_when_interrupted(stopped):
             from iher_robot.train import resume as resume_run
 
-            result = resume_run(stopped, display=display, video=video)
+            result = resume_run(stopped, simulators=simulators, display=display, video=video)
         typer.echo(result.summary())
         return
     if task is None:
@@ -102,6 +108,7 @@ def train(
             until_success=until,
             device=device,
             asynchronous=asynchronous,
+            simulators=simulators,
             display=display,
             video=video,
             from_data=from_data or (),

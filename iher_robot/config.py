@@ -36,6 +36,10 @@ _CHOSEN = {
 }
 
 
+_CHANGES_NOTHING = ("simulators",)
+"""Settings that no number of a run depends on; it may go on with others."""
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -77,6 +81,9 @@ class RunConfig(_Section):
     for a busy one costs most of the speed."""
     asynchronous: bool = False
     """Learn in a process of its own while the robot collects the next epoch, instead of in turn."""
+    simulators: int = Field(default=1, ge=1, le=64)
+    """Simulated robots that collect and are evaluated side by side, each in a process of its own;
+    what they do is the same for any number. 1 for any other robot."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
     from_data: tuple[str, ...] = ()
@@ -116,7 +123,7 @@ def load_config(
         algo: Name of an algorithm.
         overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
         options: Settings that have an option of their own, which errors name: budget_minutes,
-            seed, device, until_success, driver, asynchronous.
+            seed, device, until_success, driver, asynchronous, simulators.
         robot: Name of a shipped robot or of one on the network, or the path of a YAML file; the
             driver's default where None.
         connect: Where to reach a robot on the network; what its file says where empty.
@@ -159,6 +166,25 @@ def dump_config(config: RunConfig) -> str:
     return format_yaml(config.model_dump(mode="json"))
 
 
+def dump_identity(config: RunConfig) -> str:
+    """Write every setting that a run depends on as YAML: the same for a run that may go on."""
+    return format_yaml(config.model_dump(mode="json", exclude=set(_CHANGES_NOTHING)))
+
+
+def change_simulators(config: RunConfig, simulators: int) -> RunConfig:
+    """The same settings with another number of simulators.
+
+    Args:
+        config: Settings of a run.
+        simulators: The number, as the option gives it.
+
+    Raises:
+        UserError: It is out of range.
+    """
+    given = Layer("settings of the run", config.model_dump(mode="json"))
+    return _resolve([given, option_layer("simulators", simulators)])
+
+
 def read_config(path: Path) -> RunConfig:
     """Read what ``dump_config`` wrote; the result equals the dumped settings exactly.
 
@@ -168,7 +194,7 @@ def read_config(path: Path) -> RunConfig:
     """
     layer = Layer(str(path), parse_mapping(read_file(path, "config file"), str(path)))
     given = _KEYS.flatten(layer)
-    missing = [key for key in _KEYS.leaves if key not in given]
+    missing = [key for key in _KEYS.leaves if key not in (*given, *_CHANGES_NOTHING)]
     if missing:
         # Not filled up with defaults: the run would go on as another one than it was.
         raise UserError(

@@ -111,7 +111,7 @@ class EpisodeIndex(Closing):
         """Write down that an episode is under way.
 
         Args:
-            running: It, without a tick.
+            running: It, and the ticks that it has already.
             durable: Whether this and every tick of it waits for the disk.
 
         Raises:
@@ -125,6 +125,8 @@ class EpisodeIndex(Closing):
             self._database.execute(
                 "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_seal(*row))
             )
+            for number, tick in enumerate(running.ticks):
+                self._insert(number, tick)
         self.running = running
 
     def record(self, tick: RecordedTick) -> None:
@@ -134,13 +136,8 @@ class EpisodeIndex(Closing):
             UserError: The system refuses.
         """
         assert self.running is not None, "begin comes first"
-        # The first record says what all of them are, as a file of NumPy's does.
-        first = not self.running.ticks
-        record = tick.as_record(None if first else self._kind)
-        self._kind = record.dtype
-        row = (len(self.running.ticks), pack_array(record) if first else record.tobytes())
         self.running.ticks.append(tick)  # first: what cannot be written may still be sealed
-        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
+        self._insert(len(self.running.ticks) - 1, tick)
 
     def add(self, digest: str) -> None:
         """Write down the file of the next episode, durably; none is under way then.
@@ -170,6 +167,13 @@ class EpisodeIndex(Closing):
     def close(self) -> None:
         """Release the file; closing twice does nothing."""
         self._database.close()
+
+    def _insert(self, number: int, tick: RecordedTick) -> None:
+        # The first record says what all of them are, as a file of NumPy's does.
+        record = tick.as_record(self._kind if number else None)
+        self._kind = record.dtype
+        row = (number, record.tobytes() if number else pack_array(record))
+        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
 
     def _clear(self) -> None:
         self._database.execute("DELETE FROM running")

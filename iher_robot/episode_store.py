@@ -176,6 +176,25 @@ class EpisodeStore(EpisodeReader):
         self._index.record(tick)
         self._note()
 
+    def keep(self, stored: StoredEpisode) -> None:
+        """Store a whole episode that came about elsewhere; when this returns, it is durable.
+
+        It is in the journal as a whole before it is sealed, so that a crash leaves it there.
+
+        Args:
+            stored: It, whatever its index was elsewhere.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk.
+        """
+        episode = stored.episode
+        running = Running(
+            len(self), stored.header, episode.observations[0], episode.desired_goal, stored.ticks()
+        )
+        self._index.begin(running, durable=False)
+        self._note()
+        self.seal(stored.ended)
+
     def seal(self, ended: str) -> int | None:
         """End the episode; when this returns, it is durable.
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 
@@ -13,7 +14,29 @@ from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.imaginary_source import Progress
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.policy import Policy
+
+
+class Outcome(Protocol):
+    """What became of an episode."""
+
+    @property
+    def success(self) -> bool:
+        """Whether the last step met the goal."""
+
+    @property
+    def aborted(self) -> str:
+        """Why it could not go on, empty if it could."""
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks charged."""
+
+    def episode(self) -> Episode | None:
+        """The ticks recorded whole; None before the first."""
+
+
+RunSeeds = Callable[[Learner, Sequence[int]], Iterator[Outcome]]
+"""Runs the episode of each seed in turn, without noise, as the learner is now."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +60,13 @@ class Evaluation:
 
 
 def run_evaluation(
-    run_one: Callable[[int], Recorder],
-    seeds: Iterable[int],
+    outcomes: Iterable[Outcome],
     on_episode: Callable[[int], None] | None = None,
 ) -> Evaluation:
-    """Run one episode for each seed.
+    """Add up what a policy did.
 
     Args:
-        run_one: Runs the episode of a seed, without noise.
-        seeds: Decide starts and goals.
+        outcomes: Runs an episode whenever it is asked for one.
         on_episode: Told how many episodes are done.
 
     Returns:
@@ -53,11 +74,10 @@ def run_evaluation(
     """
     recorded: list[Episode] = []
     successes = count = 0
-    for seed in seeds:
-        recorder = run_one(seed)
+    for outcome in outcomes:
         count += 1
-        successes += recorder.success
-        episode = recorder.episode()
+        successes += outcome.success
+        episode = outcome.episode()
         if episode is not None:
             recorded.append(episode)
         if on_episode is not None:
@@ -65,22 +85,26 @@ def run_evaluation(
     return Evaluation(successes, count, recorded)
 
 
-def run_simulated(simulator: GoalRobotEnv, policy: Policy, seed: int) -> Recorder:
-    """Run an episode that costs nothing and is not kept.
+def run_simulated(
+    simulator: GoalRobotEnv, learner: Learner, seeds: Sequence[int]
+) -> Iterator[Recorder]:
+    """Run episodes that cost nothing and are not kept, one after the other.
 
     Args:
         simulator: Where.
-        policy: A policy on the CPU.
-        seed: Decides start and goal.
+        learner: Acts as it is now.
+        seeds: Decide starts and goals.
     """
-    recorder = Recorder()
-    run_episode(simulator, policy, recorder, seed=seed, ticks=simulator.task.episode_ticks)
-    return recorder
+    policy = learner.acting_policy(torch.device("cpu"))
+    for seed in seeds:
+        recorder = Recorder()
+        run_episode(simulator, policy, recorder, seed=seed, ticks=simulator.task.episode_ticks)
+        yield recorder
 
 
 def evaluate_learner(
     learner: Learner,
-    run_one: Callable[[Policy, int], Recorder],
+    run_seeds: RunSeeds,
     *,
     run_seed: int,
     count: int,
@@ -90,7 +114,7 @@ def evaluate_learner(
 
     Args:
         learner: After the epoch that is judged.
-        run_one: Runs the episode of a seed with a policy on the CPU, without noise.
+        run_seeds: Runs the episodes.
         run_seed: Seed of the run.
         count: Episodes to run.
         progress: Told how many are done.
@@ -101,8 +125,7 @@ def evaluate_learner(
     # Numbers that follow from the epoch, so that a resumed run draws the same episodes.
     first = learner.epoch * count
     seeds = [episode_seed(run_seed, Stream.EVALUATION, first + i) for i in range(count)]
-    policy = learner.acting_policy(torch.device("cpu"))
     evaluation = run_evaluation(
-        lambda seed: run_one(policy, seed), seeds, lambda done: progress("evaluate", done, count)
+        run_seeds(learner, seeds), lambda done: progress("evaluate", done, count)
     )
     return {"success": evaluation.success_rate} | diagnose(learner, evaluation.episodes)

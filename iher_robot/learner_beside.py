@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from iher_robot.learner_messages import Message, pack_episodes
 from iher_robot.learner_process import LearnerProcess
 from iher_robot.learning.imaginary_source import Progress
 from iher_robot.lesson import Learned, Lesson
+from iher_robot.process_messages import Message, pack_episodes
 from iher_robot.restore import Restored
 from iher_robot.run_learner import RunLearner
 from iher_robot.workcell import Workcell

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import select
 import signal
-import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
@@ -15,14 +13,21 @@ from drivers import DriverError
 from drivers.remote.driver import read_spec
 from iher_robot.config import RunConfig
 from iher_robot.errors import UserError
-from iher_robot.learner_messages import (
+from iher_robot.own_process import end_with_the_other_side
+from iher_robot.process_messages import (
     Message,
     receive_message,
     send_message,
     unpack_episodes,
 )
 from iher_robot.run_learner import learn_epoch
-from iher_robot.workcell import make_learner, pick_device, prepare_torch
+from iher_robot.workcell import (
+    make_learner,
+    open_pool,
+    pick_device,
+    prepare_torch,
+    seeds_runner,
+)
 from tasks import TaskError, make_task
 
 
@@ -33,20 +38,14 @@ def main(descriptor: int) -> None:
         descriptor: Of the socket to the run.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
-    threading.Thread(target=_end_with_the_run, args=(descriptor,), daemon=True).start()
+    end_with_the_other_side(descriptor)  # in the middle of learning, too
     connection = Connection(descriptor)
     try:
         _serve(connection)
+    except EOFError:
+        pass  # the other side is gone, and this process is about to be
     except (UserError, DriverError, TaskError) as error:
         send_message(connection, {"kind": "failed", "sentence": str(error)})
-
-
-def _end_with_the_run(descriptor: int) -> None:
-    """End at once, in the middle of learning too, when the run is gone."""
-    hangup = select.poll()
-    hangup.register(descriptor, 0)  # no event but that the other side is gone
-    hangup.poll()
-    os._exit(1)
 
 
 def _serve(connection: Connection) -> None:
@@ -64,9 +63,10 @@ def _serve(connection: Connection) -> None:
             )
 
     with ExitStack() as stack:
-        simulator = None
+        run_seeds = None
         if begin["simulated"]:
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
+            run_seeds = seeds_runner(simulator, open_pool(config, simulator, stack))
         if begin["state"] is not None:
             finished = (
                 unpack_episodes(receive_message(connection)["episodes"])
@@ -79,7 +79,7 @@ def _serve(connection: Connection) -> None:
                 learner,
                 unpack_episodes(order["episodes"]),
                 config,
-                simulator if order["evaluate"] else None,
+                run_seeds if order["evaluate"] else None,
                 progress,
             )
             send_message(connection, _learned(metrics, learner.state_dict()))

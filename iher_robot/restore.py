@@ -8,7 +8,7 @@ from typing import Any
 
 from iher_robot.accounts import Account
 from iher_robot.checkpoint import load_checkpoint
-from iher_robot.config import RunConfig, dump_config
+from iher_robot.config import RunConfig, dump_identity
 from iher_robot.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
@@ -92,7 +92,7 @@ def restore(
             pending[0].earlier = True
         return Restored(None, [], [], pending, collected)
     run = state["run"]
-    if run["config"] != dump_config(config):
+    if run["config"] != dump_identity(config):
         raise UserError(
             f"{directory.config_path} is not what the run was started with; put it back, or start "
             "a new run with another --out"

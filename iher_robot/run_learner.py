@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from drivers.closing import Closing
 from iher_robot.config import RunConfig
-from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
-from iher_robot.evaluation import evaluate_learner, run_simulated
+from iher_robot.evaluation import RunSeeds, evaluate_learner
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.imaginary_source import Progress
 from iher_robot.learning.learner import Learner
@@ -90,7 +88,7 @@ class LearnerInTurn(RunLearner):
             self.learner,
             lesson.episodes,
             self._cell.config,
-            self._cell.simulator if lesson.evaluate else None,
+            self._cell.run_simulated if lesson.evaluate else None,
             self._progress,
         )
         return Learned(lesson, metrics)
@@ -111,7 +109,7 @@ def learn_epoch(
     learner: Learner,
     episodes: Sequence[Episode],
     config: RunConfig,
-    simulator: GoalRobotEnv | None,
+    run_seeds: RunSeeds | None,
     progress: Progress,
 ) -> Row:
     """Learn from the real episodes of an epoch.
@@ -120,7 +118,7 @@ def learn_epoch(
         learner: The learner.
         episodes: The episodes.
         config: Settings of the run.
-        simulator: Where to evaluate afterwards; None for not at all.
+        run_seeds: Runs the episodes to evaluate it by afterwards; None for none.
         progress: Told how far each phase is.
 
     Returns:
@@ -134,10 +132,10 @@ def learn_epoch(
         row = learner.learn(progress)
     except FloatingPointError as error:
         raise UserError(f"learning stopped in epoch {learner.epoch}: {error}") from error
-    if simulator is not None:
+    if run_seeds is not None:
         row |= evaluate_learner(
             learner,
-            partial(run_simulated, simulator),
+            run_seeds,
             run_seed=config.seed,
             count=config.evaluation.episodes,
             progress=progress,

@@ -17,7 +17,7 @@ from torch.utils.tensorboard import SummaryWriter
 from iher_robot.budget import Budget
 from iher_robot.callable_module import make_module_callable
 from iher_robot.chosen_robot import ChosenRobot
-from iher_robot.config import dump_config, load_config, read_config
+from iher_robot.config import change_simulators, dump_config, load_config, read_config
 from iher_robot.deployment_operator import Operator
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
@@ -106,6 +106,7 @@ def train(
     until_success: float | None = 1.0,
     device: str = "auto",
     asynchronous: bool | None = None,
+    simulators: int | None = None,
     display: bool = True,
     video: bool = False,
     from_data: Sequence[str | Path] = (),
@@ -127,6 +128,7 @@ def train(
         device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
         asynchronous: Learn in a process of its own while the robot moves; as the preset says,
             usually in turn with it, where None.
+        simulators: Simulated robots side by side; as the preset says, usually one, where None.
         display: Show progress while it runs.
         video: Film the final policy, in simulation.
         from_data: Folders of earlier runs of the same task and robot; the learner begins with
@@ -148,6 +150,8 @@ def train(
         options["driver"] = driver
     if asynchronous is not None:
         options["asynchronous"] = asynchronous
+    if simulators is not None:
+        options["simulators"] = simulators
     if budget_minutes is not None:
         options["budget_minutes"] = budget_minutes
     sources = [str(Path(folder).resolve()) for folder in from_data]
@@ -165,11 +169,19 @@ def train(
         return _run(cell, directory, display=display, video=video)
 
 
-def resume(directory: Path, *, display: bool = True, video: bool = False) -> TrainResult:
+def resume(
+    directory: Path,
+    *,
+    simulators: int | None = None,
+    display: bool = True,
+    video: bool = False,
+) -> TrainResult:
     """Continue a stopped run to its budget, as it was configured.
 
     Args:
         directory: The run folder.
+        simulators: Simulated robots side by side, on which nothing in a run depends; as it was
+            configured where None.
         display: Show progress while it runs.
         video: Film the final policy, in simulation.
 
@@ -181,6 +193,8 @@ def resume(directory: Path, *, display: bool = True, video: bool = False) -> Tra
     """
     opened = RunDirectory.open(directory)
     config = read_config(opened.config_path)
+    if simulators is not None:
+        config = change_simulators(config, simulators)
     if video:
         require_film(config.chosen_robot, config.task)
     with open_workcell(config) as cell:

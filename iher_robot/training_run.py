@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -13,15 +15,15 @@ from drivers import Clock, MonotonicClock
 from iher_robot.budget import Budget
 from iher_robot.checkpoint import save_checkpoint
 from iher_robot.collect import Recorder, Stream, episode_seed
-from iher_robot.config import dump_config
+from iher_robot.config import dump_identity
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
-from iher_robot.evaluation import evaluate_learner
+from iher_robot.evaluation import Outcome, evaluate_learner
 from iher_robot.learner_beside import LearnerBeside
 from iher_robot.learner_process import LearnerProcess
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.policy import Policy
+from iher_robot.learning.learner import Learner
 from iher_robot.ledger import Ledger
 from iher_robot.lesson import CollectedEpoch, Learned, Lesson, Row
 from iher_robot.patience import Patience
@@ -32,6 +34,7 @@ from iher_robot.restore import restore
 from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.run_directory import RunDirectory
 from iher_robot.run_learner import LearnerInTurn, RunLearner
+from iher_robot.simulated_episodes import SimulatedEpisodes
 from iher_robot.trained_policy import trained_policy
 from iher_robot.workcell import CPU, Workcell
 
@@ -80,6 +83,7 @@ class TrainingRun:
             MonotonicClock() if clock is None else clock,
         )
         self.episodes = RobotEpisodes(cell.env, store, ledger, patience)
+        self.simulated = self._make_simulated()
         self.learning = self._make_learning()
         self.writer = writer
         self.provenance = provenance
@@ -89,6 +93,12 @@ class TrainingRun:
         self.seconds_before = 0.0
         self._granted_at = 0
         self.started = time.monotonic()
+
+    def _make_simulated(self) -> SimulatedEpisodes | None:
+        pool = self.cell.pool
+        if pool is None or self.config.learner.schedule.real_episodes == 1:
+            return None  # one episode is no work to be shared
+        return SimulatedEpisodes(pool, self.budget, self.store, self._seed)
 
     def _make_learning(self) -> RunLearner:
         if self.config.asynchronous:
@@ -104,7 +114,11 @@ class TrainingRun:
         Raises:
             UserError: The budget is spent and left nothing to learn from.
         """
-        with self.learning, self.episodes:
+        with ExitStack() as stack:
+            stack.enter_context(self.learning)
+            stack.enter_context(self.episodes)
+            if self.simulated is not None:
+                stack.enter_context(self.simulated)
             self._restore()
             while not self._done():
                 learned = self.learning.exchange(self._next_lesson())
@@ -172,33 +186,44 @@ class TrainingRun:
         number = len(self.rows) + (self.learning.under_way is not None) + 1
         epoch = self.pending.pop() if self.pending else CollectedEpoch(number)
         wanted = self.config.learner.schedule.real_episodes
-        policy, explorer = self.learner.acting_policy(CPU), self.learner.explorer()
         while len(epoch.episodes) < wanted and not self._spent:
             self.display.phase("collect", len(epoch.episodes), wanted)
-            if self.learning.look():
-                policy, explorer = self.learner.acting_policy(CPU), self.learner.explorer()
-            ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
-            recorder = self.episodes.run(
-                "motion",
-                partial(self.budget.reserve, ticks, counted=True),
-                policy,
-                epoch=epoch.number,
-                seed=episode_seed(self.config.seed, Stream.COLLECTION, self.collected),
-                ticks=ticks,
-                explorer=explorer,
-            )
-            episode = recorder.episode()
-            if episode is not None:  # counted as the store counts, or a resume would miss one
-                epoch.episodes.append(episode)
-                self.collected += 1
-            self.display.minutes(self.cell.minutes_of(self.budget.spent_ticks))
-            self._tell_of_abort(recorder)
+            self.learning.look()
+            for outcome in self._run_next(epoch.number, wanted - len(epoch.episodes)):
+                episode = outcome.episode()
+                if episode is not None:  # counted as the store counts, or a resume would miss one
+                    epoch.episodes.append(episode)
+                    self.collected += 1
+                self.display.phase("collect", len(epoch.episodes), wanted)
+                self.display.minutes(self.cell.minutes_of(self.budget.spent_ticks))
+                self._tell_of_abort(outcome)
         if epoch.episodes:
             self.pending.append(epoch)
 
-    def _tell_of_abort(self, recorder: Recorder) -> None:
-        if recorder.aborted and self.cell.simulator is None:  # a robot that somebody looks after
-            self.display.announce(f"{recorder.aborted} (after {recorder.ticks} ticks)")
+    def _run_next(self, epoch: int, count: int) -> Iterator[Outcome]:
+        """Run the next episode, or so many of them where there are several simulators."""
+        if self.simulated is not None:
+            yield from self.simulated.run(
+                self.learner, epoch=epoch, first=self.collected, count=count
+            )
+            return
+        ticks = min(self.cell.env.task.episode_ticks, self.budget.remaining_ticks)
+        yield self.episodes.run(
+            "motion",
+            partial(self.budget.reserve, ticks, counted=True),
+            self.learner.acting_policy(CPU),
+            epoch=epoch,
+            seed=self._seed(self.collected),
+            ticks=ticks,
+            explorer=self.learner.explorer(),
+        )
+
+    def _seed(self, number: int) -> int:
+        return episode_seed(self.config.seed, Stream.COLLECTION, number)
+
+    def _tell_of_abort(self, outcome: Outcome) -> None:
+        if outcome.aborted and self.cell.simulator is None:  # a robot that somebody looks after
+            self.display.announce(f"{outcome.aborted} (after {outcome.ticks} ticks)")
 
     def _lesson(self, epoch: CollectedEpoch) -> Lesson:
         """Put an epoch together with what is known of it; those that follow it do not count."""
@@ -240,18 +265,19 @@ class TrainingRun:
         self.rows.append(row)
         self._write(row)
 
-    def _run_evaluated(self, policy: Policy, seed: int) -> Recorder:
-        ticks = self.cell.env.task.episode_ticks
-        recorder = self.episodes.run(
-            "evaluation",
-            partial(self.ledger.reserve, "evaluation", ticks, counted=True),
-            policy,
-            epoch=self.learner.epoch,
-            seed=seed,
-            ticks=ticks,
-        )
-        self._tell_of_abort(recorder)
-        return recorder
+    def _run_evaluated(self, learner: Learner, seeds: Sequence[int]) -> Iterator[Recorder]:
+        ticks, policy = self.cell.env.task.episode_ticks, learner.acting_policy(CPU)
+        for seed in seeds:
+            recorder = self.episodes.run(
+                "evaluation",
+                partial(self.ledger.reserve, "evaluation", ticks, counted=True),
+                policy,
+                epoch=learner.epoch,
+                seed=seed,
+                ticks=ticks,
+            )
+            self._tell_of_abort(recorder)
+            yield recorder
 
     def _phase(self, name: str, done: int, total: int) -> None:
         self.episodes.still_idle()
@@ -273,7 +299,7 @@ class TrainingRun:
             self.directory.checkpoint_path,
             learner=self.learning.state_dict(),
             run={
-                "config": dump_config(self.config),
+                "config": dump_identity(self.config),
                 "episodes": row["episodes"],
                 "ledger_entry": self.ledger.last_entry,
                 "rows": self.rows,

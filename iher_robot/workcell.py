@@ -6,6 +6,7 @@ import datetime
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 
@@ -13,9 +14,11 @@ from iher_robot.budget import budget_ticks
 from iher_robot.config import RunConfig
 from iher_robot.env import GoalRobotEnv
 from iher_robot.errors import UserError
+from iher_robot.evaluation import RunSeeds, run_simulated
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.precision import set_float32_products
+from iher_robot.simulator_pool import SimulatorPool
 from tasks import GoalTask
 
 CPU = torch.device("cpu")
@@ -30,6 +33,7 @@ class Workcell:
         env: The robot.
         simulator: Where the policy is evaluated free of charge; None where the robot is physical,
             or another driver with the same options would move the same one.
+        pool: Simulators beside each other; None where one is enough.
         learner: The learner; in an asynchronous run a copy that acts, on the CPU.
         budget_ticks: Control ticks that the budget grants.
     """
@@ -37,6 +41,7 @@ class Workcell:
     config: RunConfig
     env: GoalRobotEnv
     simulator: GoalRobotEnv | None
+    pool: SimulatorPool | None
     learner: Learner
     budget_ticks: int
 
@@ -81,6 +86,11 @@ class Workcell:
         )
 
     @property
+    def run_simulated(self) -> RunSeeds | None:
+        """Runs episodes free of charge; None without a simulator."""
+        return None if self.simulator is None else seeds_runner(self.simulator, self.pool)
+
+    @property
     def evaluation_episodes(self) -> int:
         """Episodes of one evaluation."""
         settings = self.config.evaluation
@@ -112,9 +122,43 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         simulator = None
         if not (env.driver.spec.physical or env.driver.exclusive):
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
+        pool = open_pool(config, env, stack)
         learner = make_learner(config, env.task, CPU if config.asynchronous else device)
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
-        yield Workcell(config, env, simulator, learner, ticks)
+        yield Workcell(config, env, simulator, pool, learner, ticks)
+
+
+def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> SimulatorPool | None:
+    """Make simulators beside each other, if there are to be more than one.
+
+    Args:
+        config: Settings of the run.
+        env: Its robot.
+        stack: Ends them.
+
+    Raises:
+        UserError: The robot is no simulated one of this program, of which there can be several.
+    """
+    if config.simulators == 1:
+        return None
+    driver = env.driver
+    if driver.spec.physical or driver.exclusive or driver.paces_itself:
+        raise UserError(
+            f"simulators is {config.simulators}, but {config.chosen_robot.title} is one robot "
+            "that moves in real time, allowed: 1; leave it out, or choose a simulated robot with "
+            "--driver mujoco"
+        )
+    return stack.enter_context(SimulatorPool(config, env.task.episode_ticks))
+
+
+def seeds_runner(simulator: GoalRobotEnv, pool: SimulatorPool | None) -> RunSeeds:
+    """What runs episodes free of charge.
+
+    Args:
+        simulator: Runs one after the other,
+        pool: unless there is this, which runs them side by side.
+    """
+    return partial(run_simulated, simulator) if pool is None else pool.run
 
 
 def prepare_torch(config: RunConfig) -> None:

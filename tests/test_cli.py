@@ -96,6 +96,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         *"train --task push --driver mujoco --preset paper --algo her --budget-minutes 1.5".split(),
         *"--set learner.ddpg.gamma=0.9 --set seed=3 --seed 7 --out there".split(),
         *"--until-success 0.9 --device cpu --async --quiet --robot worn --video".split(),
+        *"--simulators 2".split(),
         *"--connect tcp/10.0.0.7:7447 --connect tls/arm:7447 --from-data a --from-data b".split(),
     )
 
@@ -114,6 +115,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
         "until_success": 0.9,
         "device": "cpu",
         "asynchronous": True,
+        "simulators": 2,
         "display": False,
         "video": True,
         "from_data": ["a", "b"],
@@ -142,9 +144,10 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     resume = replace(monkeypatch, "train", "resume")
 
     assert run("train", "--resume", "there", "--no-display").code == 0
-    assert (resume.args, resume.kwargs) == ((Path("there"),), {"display": False, "video": False})
-    assert run("train", "--resume", "there", "--video").code == 0
-    assert resume.kwargs == {"display": True, "video": True}
+    assert resume.args == (Path("there"),)
+    assert resume.kwargs == {"simulators": None, "display": False, "video": False}
+    assert run("train", "--resume", "there", "--video", "--simulators", "3").code == 0
+    assert resume.kwargs == {"simulators": 3, "display": True, "video": True}
 
 
 def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

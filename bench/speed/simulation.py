@@ -1,17 +1,17 @@
-"""Control ticks of simulated robots with random actions, resets included; inverse kinematics."""
+"""Control ticks of simulated robots, resets included, and inverse kinematics."""
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 
 import gymnasium as gym
 import numpy as np
+import torch
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from bench.speed.comparison import Comparison, Contender, Kind, Target
@@ -20,6 +20,11 @@ from bench.speed.official import make_official
 from bench.speed.settings import Settings
 from iher_robot.config import load_config
 from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.learning.goal_model import REAL
+from iher_robot.learning.learner import Learner
+from iher_robot.learning.policy import Policy
+from iher_robot.simulator_pool import SimulatorPool
+from iher_robot.workcell import CPU
 
 EPISODE_TICKS = 50
 RATIO = 1.3
@@ -36,22 +41,24 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
         joint = stack.enter_context(make_env("push"))
         official = make_official()
         stack.callback(official.close)
-        vectors = []
+        learner = learner_of_push(settings, settings.precisions[0], ())
+        act = Acting(learner.acting_policy(CPU))
+        at_random, with_policy = [], []
         for workers in settings.sized([cores, 2 * cores], [1]):
             vector = AsyncVectorEnv(
                 [make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP
             )
             stack.callback(vector.close)
-            measure = partial(ticks_per_second_of_vector, vector, episodes)
-            vectors.append(Contender(f"{VECTOR}, {workers} robots", measure))
+            name, ticks = f"{VECTOR}, {workers} robots", ticks_per_second_of_vector
+            at_random.append(Contender(name, partial(ticks, vector, episodes, None)))
+            with_policy.append(Contender(name, partial(ticks, vector, episodes, act)))
         yield [
             Comparison(
                 topic="simulation",
-                work="control ticks, mocap physics",
+                work="control ticks, mocap physics, random actions",
                 unit="ticks/s",
                 kind=Kind.RATE,
                 contenders=(
-                    many_simulators(settings, stack, max(2, cores)),
                     Contender(
                         "iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes)
                     ),
@@ -59,8 +66,15 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
                         "gymnasium-robotics, gym.make",
                         partial(ticks_per_second, official, episodes),
                     ),
-                    *vectors,
+                    *at_random,
                 ),
+            ),
+            Comparison(
+                topic="simulation",
+                work="episodes of a policy, mocap physics, control ticks",
+                unit="ticks/s",
+                kind=Kind.RATE,
+                contenders=(many_simulators(stack, learner, cores, episodes), *with_policy),
                 target=Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
             ),
             Comparison(
@@ -82,29 +96,37 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
         ]
 
 
-def many_simulators(settings: Settings, stack: ExitStack, simulators: int) -> Contender:
-    """Whole episodes in several simulators at once, acted in by a policy."""
-    name = f"iher_robot, {simulators} fetch-mocap"
-    # Until it is there.
-    if importlib.util.find_spec("iher_robot.simulator_pool") is None:
-        return Contender(name, None, "not built")
-    from iher_robot.simulator_pool import SimulatorPool
+class Acting:
+    """A policy on the CPU that acts on what several robots observe."""
 
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def __call__(self, observation: Mapping[str, np.ndarray]) -> np.ndarray:
+        seen, goal = (
+            torch.as_tensor(observation[name], dtype=torch.float32)
+            for name in ("observation", "desired_goal")
+        )
+        return self._policy.act(seen, goal, torch.full((len(seen),), REAL)).numpy()
+
+
+def many_simulators(stack: ExitStack, learner: Learner, cores: int, episodes: int) -> Contender:
+    simulators = max(2, cores)
     config = load_config(
         "push", "paper", "iher", (), {"simulators": simulators}, robot="fetch-mocap"
     )
     pool = stack.enter_context(SimulatorPool(config, EPISODE_TICKS))
-    learner = learner_of_push(settings, settings.precisions[0], ())
-    episodes = settings.sized(8, 1) * simulators
+    count = episodes * simulators
 
     def measure(round_number: int) -> float:
+        first = 1_000 * round_number
         started = time.perf_counter()
-        for _ in pool.run(learner, range(1_000 * round_number, 1_000 * round_number + episodes)):
+        for _ in pool.run(learner, range(first, first + count)):
             pass
-        return episodes * EPISODE_TICKS / (time.perf_counter() - started)
+        return count * EPISODE_TICKS / (time.perf_counter() - started)
 
     measure(0)  # what starts at first
-    return Contender(name, measure, "with a policy")
+    return Contender(f"iher_robot, {simulators} simulators", measure)
 
 
 def ticks_per_second(env: gym.Env, episodes: int, round_number: int) -> float:
@@ -120,15 +142,17 @@ def ticks_per_second(env: gym.Env, episodes: int, round_number: int) -> float:
     return episodes * EPISODE_TICKS / seconds
 
 
-def ticks_per_second_of_vector(env: AsyncVectorEnv, episodes: int, round_number: int) -> float:
+def ticks_per_second_of_vector(
+    env: AsyncVectorEnv, episodes: int, act: Acting | None, round_number: int
+) -> float:
     """Ticks of all its environments together; each resets itself in its last step."""
     actions = random_actions(round_number, EPISODE_TICKS, env.num_envs)
     started = time.perf_counter()
-    env.reset(seed=round_number)
+    observation, _ = env.reset(seed=round_number)
     for episode in range(episodes):
         # The last one resets no more than the others do.
         for action in actions[: EPISODE_TICKS - (episode == episodes - 1)]:
-            env.step(action)
+            observation, *_ = env.step(action if act is None else act(observation))
     seconds = time.perf_counter() - started
     return (episodes * EPISODE_TICKS - 1) * env.num_envs / seconds
 

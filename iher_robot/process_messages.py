@@ -1,4 +1,4 @@
-"""What a run and its learner's process tell each other: dicts as torch files, never executed."""
+"""What a run and its other processes tell each other: dicts as torch files, never executed."""
 
 from __future__ import annotations
 

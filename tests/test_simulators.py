@@ -1,0 +1,377 @@
+"""Simulators side by side: what is collected and counted is that of one after the other."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+import iher_robot.simulator_pool
+from iher_robot.budget import Budget
+from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
+from iher_robot.config import load_config
+from iher_robot.display import TrainingDisplay
+from iher_robot.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.errors import UserError
+from iher_robot.evaluation import run_simulated
+from iher_robot.learning.episode import Episode
+from iher_robot.ledger import Ledger
+from iher_robot.simulated_episode import Order, SimulatedEpisode
+from iher_robot.simulated_episodes import SimulatedEpisodes
+from iher_robot.simulator_pool import SimulatorPool, Ticket
+from iher_robot.stored_episode import StoredEpisode
+from iher_robot.train import resume
+from iher_robot.workcell import open_pool, open_workcell
+from tests.remote.served import eventually, is_running
+from tests.small_runs import interruption, metrics, motion_ticks, stored_ticks
+from tests.small_runs import run as run_small
+
+MINUTES = 0.15001  # 225 ticks: two epochs of 100 ticks and a quarter of one
+TICKS = 225
+EPISODE_TICKS = 50
+MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # no disk is waited for
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tests.test_simulators import run
+from iher_robot.episode_index import EpisodeIndex
+
+original, calls = EpisodeIndex.add, 0
+
+def killed(*args, **options):
+    global calls
+    calls += 1
+    if calls == 2:
+        me = os.getpid()
+        children = Path(f"/proc/{me}/task/{me}/children").read_text()
+        Path(sys.argv[2]).write_text(children)
+        os.kill(me, signal.SIGKILL)
+    return original(*args, **options)
+
+EpisodeIndex.add = killed
+run(Path(sys.argv[1]), simulators=2)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def run(out: Path, **options: Any) -> None:
+    """The cheapest run whose episodes are evaluated."""
+    evaluated = "evaluation.every_epochs=1"
+    run_small(out, MINUTES, evaluated, robot="fetch-mocap", algo="her", **options)
+
+
+def patch_simulators(patch: pytest.MonkeyPatch, then: str) -> None:
+    """Do something in a simulator's process in the tenth tick of the run's third episode."""
+    patched = f"""
+import os
+from iher_robot.env import GoalRobotEnv
+original, calls = GoalRobotEnv._run_tick, 0
+def tick(self, action):
+    global calls
+    calls += self.np_random_seed == {episode_seed(0, Stream.COLLECTION, 2)}
+    if calls == 10:
+        {then}
+    return original(self, action)
+GoalRobotEnv._run_tick = tick
+"""
+    program = iher_robot.simulator_pool.PROGRAM.replace("main(int", patched + "main(int")
+    patch.setattr(iher_robot.simulator_pool, "PROGRAM", program)
+
+
+def assert_same_episode(one: Episode | None, other: Episode | None) -> None:
+    assert one is not None
+    assert other is not None
+    for name, array in vars(one).items():
+        assert array.dtype == getattr(other, name).dtype
+        assert_array_equal(array, getattr(other, name), strict=True)
+
+
+def stored(out: Path) -> list[StoredEpisode]:
+    with EpisodeReader(out / "episodes") as reader:
+        return list(reader)
+
+
+def assert_same_run(one: Path, other: Path) -> None:
+    assert metrics(one) == metrics(other)
+    for first, second in zip(stored(one), stored(other), strict=True):
+        assert_same_episode(first.episode, second.episode)
+        assert_array_equal(first.seqs, second.seqs)
+        assert_array_equal(first.elapsed, second.elapsed)
+        for name in ("epoch", "told_source", "account", "seed", "index", "ended"):
+            assert getattr(first, name) == getattr(second, name), name
+
+
+def totals(out: Path) -> dict[str, int]:
+    with Ledger(out / "ledger.sqlite") as ledger:
+        assert not ledger.open_reservations
+        return {account: ledger.spent_ticks(account) for account in ("motion", "reset", "idle")}
+
+
+@pytest.fixture(scope="module")
+def one_after_the_other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("simulators") / "serial"
+    run(out)
+    return out
+
+
+def test_a_run_is_the_same_with_any_number_of_simulators(
+    tmp_path: Path, one_after_the_other: Path
+) -> None:
+    run(tmp_path / "two", simulators=2)
+    assert_same_run(tmp_path / "two", one_after_the_other)
+    assert totals(tmp_path / "two") == totals(one_after_the_other)
+
+
+def test_a_run_goes_on_with_another_number_of_simulators(
+    tmp_path: Path, one_after_the_other: Path
+) -> None:
+    out = tmp_path / "run"
+    with interruption(TrainingDisplay, "epoch", 1):
+        run(out, simulators=2)
+    with pytest.raises(UserError, match="--simulators is 0, allowed: an integer, 1 or more"):
+        resume(out, simulators=0, display=False)
+    resume(out, simulators=1, display=False)
+    assert metrics(out) == metrics(one_after_the_other)
+
+
+def test_a_learner_beside_evaluates_the_same_in_simulators_of_its_own(tmp_path: Path) -> None:
+    run(tmp_path / "one", asynchronous=True)
+    run(tmp_path / "two", asynchronous=True, simulators=2)
+    assert_same_run(tmp_path / "two", tmp_path / "one")
+
+
+def test_what_explores_in_another_process_is_what_would_explore_here() -> None:
+    """The second policy of Push included, before and after it rests."""
+    config = load_config("push", "default", "iher", ["simulators=2"], {}, robot="fetch-mocap")
+    with open_workcell(config) as cell:
+        assert cell.pool is not None
+        assert cell.learner.contact is not None
+        for rests, seeds in ((False, (3, 1, 2)), (True, (4, 5))):
+            cell.learner.contact.rests = rests
+            cell.pool.act_as(cell.learner)
+            for explores in (True, False):
+                found = list(run_all(cell.pool, [Order(seed, 20, explores) for seed in seeds]))
+                for seed, other in zip(seeds, found, strict=True):
+                    recorder = Recorder()
+                    run_episode(
+                        cell.env,
+                        cell.learner.acting_policy(torch.device("cpu")),
+                        recorder,
+                        seed=seed,
+                        ticks=20,
+                        explorer=cell.learner.explorer() if explores else None,
+                    )
+                    assert_same_episode(recorder.episode(), other.episode())
+                    assert recorder.told_source == other.told_source
+                    assert recorder.success == other.success
+        here = list(run_simulated(cell.env, cell.learner, range(7, 10)))
+        beside = list(cell.pool.run(cell.learner, range(7, 10)))
+        for one, other in zip(here, beside, strict=True):
+            assert_same_episode(one.episode(), other.episode())
+
+
+def run_all(pool: SimulatorPool, orders: list[Order]) -> Iterator[SimulatedEpisode]:
+    pool.expect(len(orders))
+    tickets: list[Ticket] = []
+    for order in orders:
+        while not pool.free:
+            pool.wait()
+        tickets.append(pool.start(order))
+    for ticket in tickets:
+        while not ticket.arrived:
+            pool.wait()
+        yield ticket.take()
+
+
+class FakePool:
+    """Ends episodes in any order; each as long as its seed says, if it is allowed to be."""
+
+    episode_ticks, opened_ticks = EPISODE_TICKS, 1
+
+    def __init__(self, simulators: int, lengths: list[int], order: Iterator[int]) -> None:
+        self._simulators, self._lengths, self._order = simulators, lengths, order
+        self._running: list[tuple[Ticket, Order]] = []
+        self.most = 0
+
+    def act_as(self, learner: object) -> None: ...
+
+    def expect(self, episodes: int) -> None: ...
+
+    @property
+    def free(self) -> bool:
+        return len(self._running) < self._simulators
+
+    def start(self, order: Order) -> Ticket:
+        self._running.append((Ticket(), order))
+        self.most = max(self.most, len(self._running))
+        return self._running[-1][0]
+
+    def wait(self) -> None:
+        ticket, order = self._running.pop(next(self._order) % len(self._running))
+        wanted = self._lengths[order.seed % len(self._lengths)]
+        length = min(wanted, order.ticks)
+        zeros = np.zeros((length, 1))
+        data = Episode(np.zeros((length + 1, 1)), zeros, zeros, np.ones(length, bool), np.zeros(1))
+        ticket.settle(
+            SimulatedEpisode(
+                ticks=max(length, 1),
+                reset_ticks=1,
+                success=False,
+                aborted="lost" if length < order.ticks else "",
+                told_source=0,
+                ended="lost" if length < order.ticks else "done",
+                failure="",
+                steps=np.arange(1, length + 1),
+                elapsed=np.ones(length, np.int64),
+                data=data if length else None,
+            )
+        )
+
+
+def collect(
+    folder: Path, simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
+) -> tuple[list[tuple[int, int, int, list[int]]], int, int]:
+    """Run epochs of three episodes until the budget is spent; what is kept, and what it cost."""
+    pool: Any = FakePool(simulators, lengths, itertools.cycle(order))
+    folder.mkdir()
+    with (
+        Ledger(folder / "ledger.sqlite") as ledger,
+        EpisodeStore(folder / "episodes") as store,
+    ):
+        budget = Budget(ledger, budget_ticks)
+        episodes = SimulatedEpisodes(pool, budget, store, lambda number: number)
+        collected, epoch = 0, 1
+        learner: Any = None
+        with episodes:
+            while budget.remaining_ticks:
+                have = 0
+                while have < 3 and budget.remaining_ticks:
+                    for one in episodes.run(learner, epoch=epoch, first=collected, count=3 - have):
+                        assert budget.spent_ticks <= budget_ticks
+                        have += one.data is not None
+                        collected += one.data is not None
+                epoch += 1
+        assert not ledger.open_reservations
+        kept = [(s.seed, s.epoch, len(s.episode), s.seqs.tolist()) for s in store]
+        return kept, ledger.spent_ticks("motion"), ledger.spent_ticks("reset")
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    simulators=st.integers(2, 4),
+    budget_ticks=st.integers(1, 420),
+    lengths=st.lists(st.integers(1, 80), min_size=1, max_size=5),
+    order=st.lists(st.integers(0, 3), min_size=1, max_size=6),
+)
+def test_the_same_episodes_for_any_budget_and_whichever_ends_first(
+    simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
+) -> None:
+    with TemporaryDirectory(dir=MEMORY) as folder:
+        one = collect(Path(folder) / "one", 1, budget_ticks, lengths, [0])
+        many = collect(Path(folder) / "many", simulators, budget_ticks, lengths, order)
+    assert one == many
+    assert one[1] == budget_ticks
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    budget_ticks=st.integers(1, 420),
+    lengths=st.lists(st.integers(0, 80), min_size=1, max_size=5),
+    order=st.lists(st.integers(0, 3), min_size=1, max_size=6),
+)
+def test_no_number_is_left_out_where_an_episode_ends_before_its_first_tick(
+    budget_ticks: int, lengths: list[int], order: list[int]
+) -> None:
+    with TemporaryDirectory(dir=MEMORY) as folder:
+        kept, motion, _ = collect(Path(folder) / "run", 3, budget_ticks, lengths, order)
+    assert [seed for seed, *_ in kept] == list(range(len(kept)))
+    assert sum(length for _, _, length, _ in kept) <= motion == budget_ticks
+
+
+def test_an_error_in_one_simulator_keeps_what_was_recorded_in_all(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch_simulators(patch, "raise RuntimeError('a mistake')")
+        with pytest.raises(UserError, match="ended by RuntimeError: a mistake, see its messages"):
+            run(out, simulators=2)
+    kept = stored(out)
+    lengths = [len(one.episode) for one in kept]
+    assert (lengths[:3], kept[2].ended) == ([50, 50, 9], "RuntimeError: a mistake")
+    assert lengths[3:] in ([], [50]), "what was under way beside it is whole"
+    assert motion_ticks(out) == stored_ticks(out) + 1, "the tick in flight is counted"
+    totals(out)
+    resume(out, simulators=1, display=False)
+    assert motion_ticks(out) == TICKS
+
+
+def test_a_simulator_that_dies_is_an_error_and_counts_in_full(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch_simulators(patch, "os.kill(os.getpid(), 9)")
+        with pytest.raises(UserError, match=r"^a simulator's process ended by itself with signal"):
+            run(out, simulators=2)
+    assert stored_ticks(out) == 2 * EPISODE_TICKS
+    assert motion_ticks(out) in (3 * EPISODE_TICKS, 4 * EPISODE_TICKS)
+    resume(out, simulators=1, display=False)
+    assert motion_ticks(out) == TICKS
+    seeds = [episode_seed(0, Stream.COLLECTION, number) for number in range(5)]
+    assert [one.seed for one in stored(out)] == seeds[: len(stored(out))]
+
+
+def test_an_interrupt_keeps_the_episodes_under_way(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with interruption(EpisodeStore, "keep", 1):
+        run(out, simulators=2)
+    assert [len(one.episode) for one in stored(out)] == [EPISODE_TICKS] * 2
+    assert totals(out)["motion"] == 2 * EPISODE_TICKS
+
+
+def test_a_killed_run_leaves_no_simulator_and_counts_what_was_reserved(tmp_path: Path) -> None:
+    """The second episode is over, and in the journal alone."""
+    out, children = tmp_path / "run", tmp_path / "children"
+    done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(children)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    simulators = list(map(int, children.read_text().split()))
+    assert len(simulators) == 2
+    try:
+        assert eventually(lambda: not any(map(is_running, simulators)))
+    finally:
+        for simulator in filter(is_running, simulators):
+            os.kill(simulator, signal.SIGKILL)
+    assert motion_ticks(out) == 2 * EPISODE_TICKS
+    resume(out, simulators=1, display=False)
+    assert motion_ticks(out) == TICKS
+    assert stored_ticks(out) == TICKS
+    assert [row["epoch"] for row in metrics(out)] == list(range(1, len(metrics(out)) + 1))
+
+
+@pytest.mark.parametrize("what", ["physical", "exclusive", "paces_itself"])
+def test_any_other_robot_stays_one(what: str) -> None:
+    is_so = {"exclusive": False, "paces_itself": False} | {what: True}
+    spec = SimpleNamespace(physical=what == "physical")
+    env: Any = SimpleNamespace(driver=SimpleNamespace(spec=spec, **is_so))
+    config = load_config("push", "default", "iher", ["simulators=2"])
+    with (
+        ExitStack() as stack,
+        pytest.raises(UserError, match=r"^simulators is 2, but mujoco fetch .* allowed: 1; "),
+    ):
+        open_pool(config, env, stack)
