@@ -20,6 +20,7 @@ from iher_robot.own_process import end_with_the_other_side
 from iher_robot.process_messages import Message, receive_message, send_message
 from iher_robot.simulated_episode import Order, SentRecorder
 from iher_robot.stored_episode import DONE
+from iher_robot.workcell import prepare_torch
 from tasks import TaskError
 
 _TOLD = (UserError, DriverError, TaskError)
@@ -45,8 +46,8 @@ def main(descriptor: int) -> None:
 
 def _serve(connection: Connection) -> None:
     config = RunConfig.model_validate_json(receive_message(connection)["config"])
+    prepare_torch(config)
     torch.set_num_threads(1)  # each simulator has a core; one row is too little to share
-    torch.set_float32_matmul_precision(config.learner.matmul_precision)
     with config.chosen_robot.make_env(config.task) as env:
         env.driver.open()  # before the first reset, so that all of them take equally long
         opened_ticks = env.driver.now_ns // env.driver.spec.control_period_ns

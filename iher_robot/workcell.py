@@ -164,7 +164,7 @@ def seeds_runner(simulator: GoalRobotEnv, pool: SimulatorPool | None) -> RunSeed
 def prepare_torch(config: RunConfig) -> None:
     """Set what torch keeps for a whole process."""
     torch.set_num_threads(config.threads)
-    set_float32_products(config.learner.matmul_precision)
+    set_float32_products(config.learner.matmul_precision, pick_device(config.device))
 
 
 def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Learner:

@@ -29,6 +29,8 @@ class Captured:
     def __init__(self) -> None:
         self._seen: set[Hashable] = set()
         self._recordings: dict[Hashable, _Recording] = {}
+        # One for all: they never run side by side, and what they return is copied.
+        self._memory = torch.cuda.graph_pool_handle()
 
     def forget(self) -> None:
         """Drop every recording: what they read and write is elsewhere now."""
@@ -39,24 +41,32 @@ class Captured:
         """Do some work, or repeat it with other inputs.
 
         Args:
-            kind: Work of one kind launches the same kernels, on the same tensors but for the
-                inputs, and asks the GPU for nothing.
-            inputs: Of the same shapes for one kind.
-            work: What is done with them.
+            kind: Work of one kind, with inputs of the same shapes, launches the same kernels on the
+                same tensors but for the inputs, and asks the GPU for nothing.
+            inputs: What it is done with.
+            work: What is done.
 
         Returns:
             What the work returns; tensors of the caller's own.
         """
+        kind = (kind, *(value.shape for value in inputs))
         if kind not in self._seen:
             self._seen.add(kind)
             return _beside(inputs, work)
         if kind not in self._recordings:
-            self._recordings[kind] = _record(inputs, work)
+            self._recordings[kind] = self._record(inputs, work)
         recording = self._recordings[kind]
         for place, value in zip(recording.inputs, inputs, strict=True):
             place.copy_(value)
         recording.graph.replay()
         return {name: value.clone() for name, value in recording.outputs.items()}
+
+    def _record(self, inputs: Tensors, work: Work) -> _Recording:
+        places = tuple(value.clone() for value in inputs)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph, pool=self._memory):  # nothing is computed yet
+            outputs = work(places)
+        return _Recording(graph, places, outputs)
 
 
 def _beside(inputs: Tensors, work: Work) -> dict[str, torch.Tensor]:
@@ -68,11 +78,3 @@ def _beside(inputs: Tensors, work: Work) -> dict[str, torch.Tensor]:
         outputs = work(inputs)
     torch.cuda.current_stream().wait_stream(stream)
     return outputs
-
-
-def _record(inputs: Tensors, work: Work) -> _Recording:
-    places = tuple(value.clone() for value in inputs)
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):  # nothing is computed yet
-        outputs = work(places)
-    return _Recording(graph, places, outputs)

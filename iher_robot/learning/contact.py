@@ -120,7 +120,7 @@ class ContactLearner:
             drawn = dataclasses.replace(drawn, intrinsic=torch.zeros_like(drawn.intrinsic))
             drawn = augment(drawn, symmetry, self.generator)
             report = self.ddpg.update_block(drawn, batches)
-            meter.add({"contact_critic_loss": report["critic_loss"]}, weight=batches)
+            meter.add({"contact_critic_loss": report["critic_loss"]})
         return meter
 
     def state_dict(self) -> dict[str, Any]:

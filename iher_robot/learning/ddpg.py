@@ -103,14 +103,12 @@ class DDPG:
         self._mean_actor = copy.deepcopy(policy.actor)
         self._target_critics = copy.deepcopy(self.critics)
         self._flat = {name: Flat(module) for name, module in self._modules().items()}
-        self._optimizers = {
-            name: torch.optim.Adam(
-                [self._flat[name].values], lr=lr, fused=True, capturable=device.type == "cuda"
-            )
-            for name, lr in (("actor", config.ddpg.actor_lr), ("critics", config.ddpg.critic_lr))
-        }
         graphs = config.cuda_graphs and device.type == "cuda"
         self._captured = Captured() if graphs else None
+        self._optimizers = {
+            name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True, capturable=graphs)
+            for name, lr in (("actor", config.ddpg.actor_lr), ("critics", config.ddpg.critic_lr))
+        }
 
     @torch.no_grad()
     def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
@@ -169,7 +167,7 @@ class DDPG:
             batch: Transitions.
 
         Returns:
-            Scalars of the step, as tensors so that a GPU need not wait.
+            As ``update_block``.
         """
         return self.update_block(batch, 1)
 
@@ -181,7 +179,8 @@ class DDPG:
             count: Steps.
 
         Returns:
-            Means over the steps, as tensors so that a GPU need not wait.
+            Values of each step, and of the actor's steps; tensors, so that a GPU need not wait.
+            ``(steps,)``
         """
         steps, phase = self._steps(block, count), self._phase
         self._phase = (phase + count) % self.config.ddpg.actor_period
@@ -201,7 +200,7 @@ class DDPG:
             report = self._update(steps, step, moves_actor=(phase + step) % period == 0)
             for name, value in report.items():
                 reports[name].append(value)
-        return {name: torch.stack(values).mean() for name, values in reports.items()}
+        return {name: torch.stack(values) for name, values in reports.items()}
 
     def _update(self, steps: Steps, step: int, *, moves_actor: bool) -> dict[str, torch.Tensor]:
         target, clipped = self._targets(steps, step)
@@ -284,5 +283,7 @@ class DDPG:
         # Optimisers keep the tensors that they load and then write to them.
         for name, optimizer in self._optimizers.items():
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
+            for group in optimizer.param_groups:  # the state may come from another device
+                group["capturable"] = self._captured is not None
         if self._captured is not None:
             self._captured.forget()

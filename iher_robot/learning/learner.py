@@ -227,7 +227,7 @@ class Learner:
     def _update(self, batches: int, meter: Meter) -> None:
         for drawn in range(0, batches, BLOCK):
             count = min(BLOCK, batches - drawn)
-            meter.add(self.ddpg.update_block(self.sample_block(count), count), weight=count)
+            meter.add(self.ddpg.update_block(self.sample_block(count), count))
             self.updates += count
 
     def _updates_of_epoch(self) -> int:

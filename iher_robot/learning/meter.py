@@ -15,16 +15,19 @@ class Meter:
         self._sums: dict[str, torch.Tensor | float] = defaultdict(float)
         self._counts: dict[str, int] = defaultdict(int)
 
-    def add(self, values: Mapping[str, torch.Tensor | float], weight: int = 1) -> None:
-        """Take in one step's values, or means over several.
+    def add(self, values: Mapping[str, torch.Tensor | float]) -> None:
+        """Take in values.
 
         Args:
-            values: By name.
-            weight: Steps that they stand for.
+            values: By name, one value each, or those of several steps. ``(steps,)``
         """
         for name, value in values.items():
-            self._sums[name] = self._sums[name] + weight * value
-            self._counts[name] += weight
+            if isinstance(value, torch.Tensor) and value.dim() > 0:
+                self._sums[name] = self._sums[name] + value.sum()
+                self._counts[name] += len(value)
+            else:
+                self._sums[name] = self._sums[name] + value
+                self._counts[name] += 1
 
     def means(self) -> dict[str, float]:
         """Mean of each name."""

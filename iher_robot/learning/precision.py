@@ -21,11 +21,17 @@ def products_of(precision: Precision, device: torch.device) -> torch.dtype:
     return torch.float32
 
 
-def set_float32_products(precision: Precision) -> None:
-    """Set how this process multiplies what stays float32."""
-    torch.set_float32_matmul_precision(
-        "medium" if precision == "auto" else "highest" if precision == "bfloat16" else precision
-    )
+def set_float32_products(precision: Precision, device: torch.device) -> None:
+    """Set how this process multiplies what stays float32.
+
+    Args:
+        precision: As in ``LearnerConfig.matmul_precision``.
+        device: Where the learner computes.
+    """
+    if products_of(precision, device) == torch.bfloat16:
+        torch.set_float32_matmul_precision("highest")  # the first and the last layer stay exact
+    else:
+        torch.set_float32_matmul_precision("medium" if precision == "auto" else precision)
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:

@@ -36,13 +36,16 @@ def test_a_cpu_that_is_not_known_is_taken_to_have_no_bfloat16(
     assert not precision.multiplies_bfloat16(CPU)
 
 
-def test_float32_products_are_set_for_the_process() -> None:
+def test_float32_products_are_set_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     before = torch.get_float32_matmul_precision()
-    expected = {"auto": "medium", "bfloat16": "highest", "high": "high", "highest": "highest"}
+    expected = {"bfloat16": "highest", "high": "high", "medium": "medium", "highest": "highest"}
     try:
-        for asked, found in expected.items():
-            set_float32_products(asked)  # type: ignore[arg-type]
-            assert torch.get_float32_matmul_precision() == found
+        for capable, auto in ((True, "highest"), (False, "medium")):
+            has = {"avx512_bf16": capable}
+            monkeypatch.setattr(torch.cpu, "get_capabilities", lambda has=has: has)
+            for asked, found in (expected | {"auto": auto}).items():
+                set_float32_products(asked, CPU)  # type: ignore[arg-type]
+                assert torch.get_float32_matmul_precision() == found
     finally:
         torch.set_float32_matmul_precision(before)
 
