@@ -47,7 +47,9 @@ def test_an_experiment_finishes_on_the_nodes_that_are_left(cluster: Any, tmp_pat
     running = start(manifest, out, "--executor", "ray", "--address", cluster.address)
     try:
         begun = eventually(lambda: all(len(epochs(out, cell)) >= 1 for cell in CELLS), 180.0)
-        assert begun, (running.kill(), running.communicate())
+        if not begun:
+            running.kill()
+            pytest.fail(running.communicate()[0])
         both = set(processes_of(out))
         assert len(both) == 2, "one on each node"
         cluster.remove_node(cluster.workers[1], allow_graceful=False)
