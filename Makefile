@@ -2,6 +2,7 @@
 # make train                          learn Push on the simulated robot
 # make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
 # make test                           the test suite; ARGS="-k name" selects
+# make test-ray                       experiments on a Ray cluster of nodes on this machine
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine against rivals (python -m bench.speed)
 # make bench-sbx                      install sbx (JAX), one of the rivals, 0.6 GB
@@ -23,7 +24,8 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test check bench bench-sbx bench-link bench-async bench-memory bench-journal faults format clean
+.PHONY: train install test test-ray check bench bench-sbx bench-link bench-async bench-memory bench-journal \
+	faults format clean
 
 train: .venv/runtime
 	$(BIN)/iher-robot train --driver mujoco --task $(TASK) $(ARGS)
@@ -35,6 +37,9 @@ install: .venv/runtime
 test: .venv/dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not real_time" $(ARGS) || [ $$? -eq 5 ]
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m real_time $(ARGS) || [ $$? -eq 5 ]
+
+test-ray: .venv/ray
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/experiments/test_ray.py $(ARGS)
 
 check: .venv/dev
 	$(BIN)/ruff format --check .
@@ -83,7 +88,11 @@ format: .venv/dev
 	@touch $@
 
 .venv/dev: .venv/runtime
-	$(INSTALL) -e '.[dev,bench,data,video]'
+	$(INSTALL) -e '.[dev,bench,data,report,sweep,video]'
+	@touch $@
+
+.venv/ray: .venv/dev
+	$(INSTALL) -e '.[ray]'
 	@touch $@
 
 clean:

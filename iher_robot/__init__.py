@@ -53,6 +53,8 @@ from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task  # noqa: E402
 if TYPE_CHECKING:
     from iher_robot.deploy import DeployResult, deploy
     from iher_robot.evaluate import EvaluationResult, evaluate
+    from iher_robot.experiment import ExperimentResult, experiment
+    from iher_robot.report import ReportResult, report
     from iher_robot.train import TrainResult, resume, train
 
 __all__ = [
@@ -65,6 +67,7 @@ __all__ = [
     "DriverError",
     "EndEffectorCommand",
     "EvaluationResult",
+    "ExperimentResult",
     "GoalModel",
     "GoalRobotEnv",
     "GoalTask",
@@ -81,6 +84,7 @@ __all__ = [
     "MonotonicClock",
     "ObjectPose",
     "ObjectSource",
+    "ReportResult",
     "ResetOutcome",
     "ResetRequest",
     "ResetResult",
@@ -93,22 +97,28 @@ __all__ = [
     "UserError",
     "deploy",
     "evaluate",
+    "experiment",
     "make_driver",
     "make_env",
     "make_task",
     "register_envs",
+    "report",
     "resume",
     "train",
 ]
 
-# These need torch, which takes seconds to load. `train`, `deploy` and `evaluate` are modules
-# that can be called: see callable_module.py.
+# These need torch, which takes seconds to load. `train`, `deploy`, `evaluate`, `experiment` and
+# `report` are modules that can be called: see callable_module.py.
 _LAZY = {
     "DeployResult": "iher_robot.deploy",
     "EvaluationResult": "iher_robot.evaluate",
+    "ExperimentResult": "iher_robot.experiment",
+    "ReportResult": "iher_robot.report",
     "TrainResult": "iher_robot.train",
     "deploy": "iher_robot.deploy",
     "evaluate": "iher_robot.evaluate",
+    "experiment": "iher_robot.experiment",
+    "report": "iher_robot.report",
     "resume": "iher_robot.train",
     "train": "iher_robot.train",
 }

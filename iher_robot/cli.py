@@ -18,6 +18,7 @@ from iher_robot.cli_certs import certs
 from iher_robot.cli_data import data
 from iher_robot.cli_deploy import deploy
 from iher_robot.cli_evaluate import evaluate
+from iher_robot.cli_experiment import experiment, report
 from iher_robot.cli_interrupts import Stopped
 from iher_robot.cli_operate import clear_fault, doctor, home, stop
 from iher_robot.cli_serve import serve
@@ -58,7 +59,9 @@ def options(
     """Take the options that stand before the command."""
 
 
-for _command in (train, evaluate, view, serve, deploy, doctor, home, stop, clear_fault, certs):
+_LEARN = (train, evaluate, experiment, report, view)
+_OPERATE = (serve, deploy, doctor, home, stop, clear_fault, certs)
+for _command in (*_LEARN, *_OPERATE):
     app.command()(_command)
 app.add_typer(data)
 app.add_typer(budget)

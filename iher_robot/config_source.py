@@ -18,7 +18,7 @@ from iher_robot.errors import UserError, unknown_name
 from iher_robot.yaml_text import parse_mapping, parse_value
 
 _SUFFIX = ".yaml"
-_USERS_KINDS = ("preset", "robot")  # of these a user may have a file of their own
+_USERS_KINDS = ("preset", "robot", "experiment")  # of these a user may have a file of their own
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,26 @@ def robot_layer(robot: str) -> Layer:
         UserError: No such robot, or a file that is not valid YAML.
     """
     return _own_file("robot", robot) if is_yaml_file(robot) else _shipped_file("robot", robot)
+
+
+def experiment_layer(experiment: str) -> Layer:
+    """Read ``experiments/<experiment>.yaml``, or a user's own file.
+
+    Args:
+        experiment: Name of a shipped experiment, or a path that ends in .yaml or .yml.
+
+    Raises:
+        UserError: No such experiment, or a file that is not valid YAML.
+    """
+    if is_yaml_file(experiment):
+        return _own_file("experiment", experiment)
+    return _shipped_file("experiment", experiment)
+
+
+def experiment_names() -> tuple[str, ...]:
+    """Names of the shipped experiments."""
+    names = (entry.name for entry in _entries("experiments"))
+    return tuple(sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)))
 
 
 def override_layer(override: str) -> Layer:

@@ -73,6 +73,10 @@ class HeldFile(Closing):
         except OSError as error:
             raise UserError(f"cannot write {self.path}: {error.strerror}") from error
 
+    def fileno(self) -> int:
+        """Descriptor of the file: a process that inherits it holds the file, too."""
+        return self._descriptor
+
     def close(self) -> None:
         """Let go of the file; closing twice does nothing."""
         if self._open:

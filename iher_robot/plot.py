@@ -17,8 +17,8 @@ Rows = Sequence[Mapping[str, Any]]
 Point = tuple[float, float]
 
 # Okabe and Ito's colours, which people with any colour vision tell apart.
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_INK, _FAINT = "#222222", "#8A8A8A"
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+INK, FAINT, GRID, FRAME = "#222222", "#8A8A8A", "#E6E6E6", "#BBBBBB"
 _INCHES = (7.2, 4.2)
 _DOTS_PER_INCH = 150
 _MOST_MARKERS = 40
@@ -56,7 +56,7 @@ def plot_success(
     _dress(axes, curves, budget_minutes, log_x=log_x)
     # parse_math: a dollar sign in the name of a preset is no formula.
     axes.set_title(
-        title, loc="left", fontsize=13, fontweight="bold", color=_INK, pad=30, parse_math=False
+        title, loc="left", fontsize=13, fontweight="bold", color=INK, pad=30, parse_math=False
     )
     _write_above(axes, (0, 1), "axes fraction", subtitle, fontsize=9, ha="left", rise=17)
     write_atomically(path, canvas.print_png)
@@ -87,9 +87,9 @@ def _draw_curves(axes: Axes, curves: Mapping[str, Sequence[Point]]) -> None:
         axes.plot(
             minutes,
             rates,
-            color=_COLORS[number % len(_COLORS)],
+            color=COLORS[number % len(COLORS)],
             # The colours come round again after seven curves.
-            linestyle=("-", "--", ":")[number // len(_COLORS) % 3],
+            linestyle=("-", "--", ":")[number // len(COLORS) % 3],
             linewidth=1.8,
             marker="o" if longest <= _MOST_MARKERS else "",
             markersize=4,
@@ -98,13 +98,11 @@ def _draw_curves(axes: Axes, curves: Mapping[str, Sequence[Point]]) -> None:
             label=label,
         )
     if not any(curves.values()):
-        axes.text(
-            0.5, 0.5, "no evaluation yet", transform=axes.transAxes, ha="center", color=_FAINT
-        )
+        axes.text(0.5, 0.5, "no evaluation yet", transform=axes.transAxes, ha="center", color=FAINT)
 
 
 def _draw_budget(axes: Axes, budget_minutes: float) -> None:
-    axes.axvline(budget_minutes, color=_FAINT, linewidth=1, linestyle=(0, (4, 3)), zorder=1)
+    axes.axvline(budget_minutes, color=FAINT, linewidth=1, linestyle=(0, (4, 3)), zorder=1)
     label = f"budget {budget_minutes:g} min"
     place = ("data", "axes fraction")
     _write_above(axes, (budget_minutes, 1), place, label, fontsize=8, ha="right", rise=4)
@@ -128,7 +126,7 @@ def _write_above(
         textcoords="offset points",
         ha=ha,
         fontsize=fontsize,
-        color=_FAINT,
+        color=FAINT,
         parse_math=False,
     )
 
@@ -142,8 +140,8 @@ def _dress(
 ) -> None:
     axes.set_ylim(0, 1)
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
-    axes.set_xlabel("robot minutes", color=_INK)
-    axes.set_ylabel("success rate", color=_INK)
+    axes.set_xlabel("robot minutes", color=INK)
+    axes.set_ylabel("success rate", color=INK)
     if log_x and any(curves.values()):
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -152,11 +150,11 @@ def _dress(
         ends = [points[-1][0] for points in curves.values() if points]
         axes.set_xlim(0, max([*ends, budget_minutes or 0.0]) * 1.02 or 1.0)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda minutes, _: f"{minutes:g}"))
-    axes.grid(color="#E6E6E6", linewidth=0.8)
+    axes.grid(color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color("#BBBBBB")
-    axes.tick_params(colors=_INK, labelsize=9, length=0)
+    axes.spines[["left", "bottom"]].set_color(FRAME)
+    axes.tick_params(colors=INK, labelsize=9, length=0)
     axes.tick_params(axis="x", pad=8)  # or the two labels of the origin touch
     if len(curves) > 1:
         axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))

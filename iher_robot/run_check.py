@@ -13,6 +13,7 @@ from iher_robot.durable_file import check_seal, read_file
 from iher_robot.errors import UserError
 from iher_robot.run_data import RunData, examine_store
 from iher_robot.run_report import counted
+from iher_robot.run_result import read_result
 from iher_robot.stored_episode import StoredEpisode
 
 
@@ -76,6 +77,8 @@ def check_run(run: RunData) -> Verification:
         _check_ledger(run, stored)
     with _noted(problems):
         _ = run.provenance
+    with _noted(problems):
+        read_result(run.directory.result_path)
     for path in (run.directory.policy_path, run.directory.checkpoint_path):
         with _noted(problems):
             _check_seal(path)

@@ -39,6 +39,7 @@ class RunDirectory:
         self.tensorboard_path = path / "tensorboard"
         self.plot_path = path / "success.png"
         self.film_path = path / "final.mp4"
+        self.result_path = path / "result.json"
 
     @classmethod
     def create(cls, path: Path, config_text: str) -> RunDirectory:

@@ -28,6 +28,7 @@ from iher_robot.ledger import Ledger
 from iher_robot.policy_fit import load_actor
 from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
+from iher_robot.run_result import RunResult, write_result
 from iher_robot.tick_jitter import describe_jitter
 from iher_robot.training_run import TrainingRun
 from iher_robot.video import require_film
@@ -206,6 +207,7 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
+        directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
         budget = Budget(ledger, cell.budget_ticks)
         minutes = cell.minutes_of(budget.budget_ticks)
         keep_interface(directory.episodes_path, cell.env.policy_interface())
@@ -230,10 +232,23 @@ def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool)
         # Beside the robot an epoch was collected that is not in the last row.
         spent_minutes = cell.minutes_of(budget.spent_ticks)
     final = _final_evaluation(cell, directory, video=video)
+    success = next((row["success"] for row in reversed(run.rows) if "success" in row), None)
+    write_result(
+        directory.result_path,
+        RunResult(
+            epochs=int(last["epoch"]),
+            robot_minutes=spent_minutes,
+            budget_minutes=minutes,
+            success=None if success is None else float(success),
+            final_successes=None if final is None else final.successes,
+            final_episodes=0 if final is None else final.episodes,
+            wall_seconds=last["wall_seconds"],
+        ),
+    )
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
-        success_rate=next((r["success"] for r in reversed(run.rows) if "success" in r), math.nan),
+        success_rate=math.nan if success is None else success,
         final=final,
         robot_minutes=spent_minutes,
         budget_minutes=minutes,

@@ -61,6 +61,7 @@ class Recorder:
 
     error: BaseException | None = None
     args: tuple[object, ...] = ()
+    failed: tuple[str, ...] = ()
     kwargs: dict[str, object] = field(default_factory=dict)
 
     def __call__(self, *args: object, **kwargs: object) -> Recorder:
@@ -148,6 +149,47 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     assert resume.kwargs == {"simulators": None, "display": False, "video": False}
     assert run("train", "--resume", "there", "--video", "--simulators", "3").code == 0
     assert resume.kwargs == {"simulators": 3, "display": True, "video": True}
+
+
+def test_experiment_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = replace(monkeypatch, "experiment", "experiment")
+    experiment.failed = ()
+
+    outcome = run(
+        *"experiment push --out there --workers 3 --executor ray --address auto --ship".split(),
+        *"--only push-* --only reach-* --quiet".split(),
+    )
+
+    assert outcome == Outcome(0, "what the application says\n", "")
+    assert experiment.args == ("push",)
+    assert experiment.kwargs == {
+        "out": Path("there"),
+        "executor": "ray",
+        "workers": 3,
+        "address": "auto",
+        "ship": True,
+        "only": ["push-*", "reach-*"],
+        "display": False,
+    }
+    experiment.failed = ("a cell",)
+    assert run("experiment", "push").code == 1
+    assert experiment.kwargs["out"] is None
+    assert experiment.kwargs["display"] is True
+
+
+def test_report_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = replace(monkeypatch, "report", "report")
+
+    assert run("report", "there", "--out", "elsewhere").code == 0
+    assert (report.args, report.kwargs) == ((Path("there"),), {"out": Path("elsewhere")})
+
+
+def test_bad_manifests_are_one_sentence(run: Run) -> None:
+    Path("m.yaml").write_text("title: t\ngrids: [{tasks: [reach], seed: 1}]\n")
+
+    assert_one_sentence(run("experiment", "m.yaml"), "m.yaml: unknown key 'seed'")
+    assert_one_sentence(run("experiment", "smok"), "did you mean 'smoke'")
+    assert_one_sentence(run("report", "nowhere"), "there is no experiment in nowhere")
 
 
 def test_evaluate_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

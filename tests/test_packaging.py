@@ -85,7 +85,7 @@ def test_importing_the_package_loads_neither_torch_nor_mujoco() -> None:
     assert run_python("-c", code, folder=ROOT).stdout.strip() == "set()"
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate"])
+@pytest.mark.parametrize("name", ["train", "evaluate", "experiment", "report"])
 @pytest.mark.parametrize("first", ["pass", "import iher_robot.{name}", "iher_robot.{name}"])
 def test_an_application_is_callable_in_every_order_of_imports(name: str, first: str) -> None:
     code = (
@@ -149,12 +149,14 @@ def test_the_wheel_contains_every_module_and_preset_and_nothing_else(
         str(file.relative_to(ROOT)) for name in PACKAGES for file in (ROOT / name).rglob("*.py")
     }
     presets = {f"iher_robot/{file.relative_to(ROOT)}" for file in ROOT.glob("configs/**/*.yaml")}
+    templates = {str(file.relative_to(ROOT)) for file in ROOT.glob("iher_robot/**/*.j2")}
     typed = {f"{name}/py.typed" for name in PACKAGES}
 
     contents = {name for name in wheel.namelist() if ".dist-info/" not in name}
 
     assert presets
-    assert contents == modules | presets | typed
+    assert templates
+    assert contents == modules | presets | templates | typed
 
 
 def test_the_entry_points_of_the_wheel_resolve(wheel: zipfile.ZipFile) -> None:

@@ -1,0 +1,227 @@
+"""Numbers of an experiment: curves with intervals, and robot minutes to a success rate."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap, trim_mean
+
+Scores = NDArray[np.float64]
+
+REPETITIONS = 2000
+CONFIDENCE = 0.95
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was measured of a run.
+
+    Attributes:
+        seed: Its seed.
+        minutes: Robot minutes of its evaluations. ``(evaluations,)``
+        success: Their success rates. ``(evaluations,)``
+        ended: Whether it has finished, so that its last rate stands for what follows.
+        wall_seconds: Wall-clock time of its training. s
+        final: Successes and episodes of its final policy, if that was measured.
+    """
+
+    seed: int
+    minutes: Scores
+    success: Scores
+    ended: bool
+    wall_seconds: float
+    final: tuple[int, int] | None
+
+    def minutes_to(self, rate: float) -> float:
+        """Robot minutes of the first evaluation with that rate; infinite if there is none."""
+        reached = np.flatnonzero(self.success >= rate)
+        return float(self.minutes[reached[0]]) if reached.size else math.inf
+
+    @property
+    def seen_minutes(self) -> float:
+        """Robot minutes of the last evaluation; how far a rate that was not reached was sought."""
+        return float(self.minutes[-1]) if self.minutes.size else 0.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number over seeds with its interval.
+
+    Attributes:
+        value: The number.
+        low: Lower end of the 95 % bootstrap interval, NaN with one seed.
+        high: Its upper end.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Interquartile mean of the success rate over seeds, with intervals.
+
+    Attributes:
+        minutes: Robot minutes. ``(points,)``
+        iqm: Interquartile means. ``(points,)``
+        low: Lower ends of the intervals, NaN with one seed. ``(points,)``
+        high: Their upper ends. ``(points,)``
+    """
+
+    minutes: Scores
+    iqm: Scores
+    low: Scores
+    high: Scores
+
+
+@dataclass(frozen=True)
+class MinutesTo:
+    """Robot minutes to a success rate.
+
+    Attributes:
+        seeds: Of each seed, infinite where it was not reached.
+        seen: How far each was looked at.
+        median: The median, infinite where less than half of the seeds reached it.
+    """
+
+    seeds: tuple[float, ...]
+    seen: tuple[float, ...]
+
+    @property
+    def median(self) -> float:
+        """The median; a seed that did not reach the rate is later than all that did."""
+        return statistics.median(self.seeds)
+
+    @property
+    def censored_at(self) -> float:
+        """The least that the median can be where it is not known: how far seeds were looked at."""
+        return statistics.median(
+            seen if math.isinf(minutes) else minutes
+            for minutes, seen in zip(self.seeds, self.seen, strict=True)
+        )
+
+
+def minutes_to(runs: Sequence[Run], rate: float) -> MinutesTo:
+    """Robot minutes to a success rate, of each run."""
+    return MinutesTo(
+        tuple(run.minutes_to(rate) for run in runs), tuple(run.seen_minutes for run in runs)
+    )
+
+
+def ratio(baseline: MinutesTo, other: MinutesTo) -> tuple[str, float] | None:
+    """How many times as many minutes the baseline needs.
+
+    Returns:
+        ``"="``, ``">"`` or ``"<"`` and the ratio of the medians, or the bound of it where one of
+        the two is not known; None where that does not tell which of them is faster.
+    """
+    known, known_other = math.isfinite(baseline.median), math.isfinite(other.median)
+    if known and known_other:
+        return "=", baseline.median / other.median
+    if known_other and baseline.censored_at > other.median:
+        return ">", baseline.censored_at / other.median
+    if known and other.censored_at > baseline.median:
+        return "<", baseline.median / other.censored_at
+    return None
+
+
+def success_curve(runs: Sequence[Run]) -> Curve:
+    """Success over robot minutes, at every evaluation that all runs have come to.
+
+    Between two evaluations the earlier one counts. A run that stopped because it succeeded keeps
+    its last rate; one that goes on ends the curve. Whole runs are drawn for the intervals.
+    """
+    runs = [run for run in runs if run.minutes.size]
+    if not runs:
+        nothing = np.empty(0)
+        return Curve(nothing, nothing, nothing, nothing)
+    first = max(run.minutes[0] for run in runs)
+    last = min((run.minutes[-1] for run in runs if not run.ended), default=math.inf)
+    every = np.unique(np.concatenate([run.minutes for run in runs]))
+    minutes = every[(every >= first) & (every <= last)]
+    scores = np.stack([_held(run, minutes) for run in runs])  # (seeds, points)
+    return Curve(minutes, *_bootstrap([scores], "iqm"))
+
+
+def estimate(*samples: Sequence[float], kind: str) -> Estimate:
+    """A number over seeds, and over tasks where there are several.
+
+    Args:
+        samples: Of each task, one score for each seed; seeds are drawn within each task.
+        kind: ``"iqm"`` or ``"mean"``.
+    """
+    scores = [np.array(sample, dtype=np.float64) for sample in samples]
+    value, low, high = map(float, _bootstrap(scores, kind))
+    return Estimate(value, low, high)
+
+
+def _held(run: Run, minutes: Scores) -> Scores:
+    return run.success[np.searchsorted(run.minutes, minutes, side="right") - 1]
+
+
+def _iqm(*samples: Scores, axis: int) -> Scores:
+    """Interquartile mean of all samples together (Agarwal et al. 2021)."""
+    return np.asarray(trim_mean(np.concatenate(samples, axis=axis), 0.25, axis=axis))
+
+
+def _mean(*samples: Scores, axis: int) -> Scores:
+    return np.asarray(np.concatenate(samples, axis=axis).mean(axis=axis))
+
+
+_STATISTICS: Mapping[str, Callable[..., Scores]] = {"iqm": _iqm, "mean": _mean}
+
+
+def _bootstrap(samples: Sequence[Scores], kind: str) -> tuple[Scores, Scores, Scores]:
+    """Estimate, and the ends of its percentile bootstrap interval, NaN with one seed.
+
+    Args:
+        samples: Of each task, from which seeds are drawn. ``(seeds, ...)``
+        kind: ``"iqm"`` or ``"mean"``.
+    """
+    statistic = _STATISTICS[kind]
+    value = statistic(*samples, axis=0)
+    if min(map(len, samples)) < 2:
+        unknown = np.full_like(value, np.nan)
+        return value, unknown, unknown
+    interval = bootstrap(
+        samples,
+        statistic,
+        n_resamples=REPETITIONS,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        vectorized=True,
+        axis=0,
+        rng=np.random.default_rng(_SEED),
+    ).confidence_interval
+    return value, np.asarray(interval.low), np.asarray(interval.high)
+
+
+def runs_of(evaluations: Any, runs: Any) -> Mapping[str, Run]:
+    """Put the rows of the tables together, by cell.
+
+    Args:
+        evaluations: Table of evaluations.
+        runs: Table of runs.
+    """
+    found = {}
+    for row in runs.to_dict("records"):
+        mine = evaluations[evaluations["cell"] == row["cell"]].sort_values("robot_minutes")
+        measured = row["final_episodes"]
+        known = isinstance(measured, int) and measured > 0
+        found[row["cell"]] = Run(
+            seed=int(row["seed"]),
+            minutes=mine["robot_minutes"].to_numpy(dtype=np.float64),
+            success=mine["success"].to_numpy(dtype=np.float64),
+            ended=row["state"] == "finished",
+            wall_seconds=float(row["wall_seconds"]) if row["epochs"] else 0.0,
+            final=(int(row["final_successes"]), int(measured)) if known else None,
+        )
+    return found

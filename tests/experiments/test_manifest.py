@@ -1,0 +1,197 @@
+"""Manifests: which cells they make, and one sentence for what is wrong in them."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from iher_robot.config import load_config
+from iher_robot.config_source import experiment_names
+from iher_robot.errors import UserError
+from iher_robot.experiments.cells import Cell, expand
+from iher_robot.experiments.manifest import read_manifest
+from iher_robot.yaml_text import format_yaml
+
+GRID = {"tasks": ["reach"]}
+
+
+def write(folder: Path, *grids: dict[str, Any], **head: Any) -> str:
+    path = folder / "m.yaml"
+    path.write_text(format_yaml({"title": "t", "grids": list(grids)} | head))
+    return str(path)
+
+
+def cells_of(folder: Path, *grids: dict[str, Any], **head: Any) -> tuple[Cell, ...]:
+    return expand(read_manifest(write(folder, *grids, **head)))
+
+
+def test_a_grid_is_every_combination(tmp_path: Path) -> None:
+    grid = {
+        "tasks": ["reach", "pick-and-place"],
+        "algos": ["iher", "her"],
+        "presets": ["default", "paper"],
+        "variants": {"plain": {}, "sharp": {"learner.ddpg.gamma": 0.9}},
+        "budgets": [1, 2.5],
+        "seeds": [0, 7],
+    }
+
+    cells = cells_of(tmp_path, grid)
+
+    assert [cell.name for cell in cells] == [
+        f"{task}-{algo}-{preset}-{variant}-{budget}min-seed{seed}"
+        for task, algo, preset, variant, budget, seed in itertools.product(
+            *(["reach", "pick_and_place"], ["iher", "her"], ["default", "paper"]),
+            *(["plain", "sharp"], ["1", "2.5"], [0, 7]),
+        )
+    ]
+    last = cells[-1].config
+    assert (last.budget_minutes, last.seed, last.learner.ddpg.gamma) == (2.5, 7, 0.9)
+    assert (last.until_success, last.device) == (None, "cpu")
+
+
+def test_a_variant_counts_before_its_grid(tmp_path: Path) -> None:
+    variants = {"a": {}, "b": {"learner.ddpg.gamma": 0.9}}
+    grid = GRID | {"settings": {"learner.ddpg.gamma": 0.5}, "variants": variants}
+
+    assert [c.config.learner.ddpg.gamma for c in cells_of(tmp_path, grid)] == [0.5, 0.9]
+
+
+def test_the_options_of_a_cell_give_its_settings(tmp_path: Path) -> None:
+    robot = tmp_path / "mine.yaml"
+    robot.write_text("actuation: mocap\n")
+    settings = {"learner.ddpg.hidden": [8, 8], "learner.ddpg.policy_average": None, "seed": 3}
+    grid = GRID | {"robot": "mine.yaml", "settings": settings, "until_success": 0.9}
+    (cell,) = cells_of(tmp_path, grid | {"budgets": [0.1]})
+
+    words = list(cell.options)
+    given = dict(zip(words[::2], words[1::2], strict=True))
+    overrides = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+
+    assert cell.config == load_config(
+        given["--task"],
+        given["--preset"],
+        given["--algo"],
+        overrides,
+        {
+            "seed": int(given["--seed"]),
+            "device": given["--device"],
+            "until_success": float(given["--until-success"]),
+            "budget_minutes": float(given["--budget-minutes"]),
+        },
+        given["--robot"],
+    )
+    assert cell.config.learner.ddpg.hidden == (8, 8)
+    assert cell.name.endswith("seed3")
+    assert given["--robot"] == str(robot), "paths are from the manifest's folder"
+
+
+@pytest.mark.parametrize("name", experiment_names())
+def test_every_shipped_experiment_expands(name: str) -> None:
+    cells = expand(read_manifest(name))
+
+    assert cells
+    for cell in cells:
+        assert cell.simulated
+        assert cell.identity.robot == "mujoco fetch-mocap"
+
+
+def test_the_shipped_experiments_are_what_they_are_called() -> None:
+    names = {"fig-benchmark", "fig-ablation", "fig-ensemble", "default-vs-paper"}
+    assert names | {"reach", "push", "smoke"} == set(experiment_names())
+    ablation = {cell.identity.variant: cell.config.learner for cell in expand_named("fig-ablation")}
+    assert [
+        (c.ddpg.source_input, c.imagination.regenerate, c.intrinsic.enabled)
+        for c in ablation.values()
+    ] == [(True, True, True), (False, True, True), (True, False, True), (True, True, False)]
+    ensembles = {
+        (cell.config.learner.dynamics.members, cell.config.learner.imagination.regenerate)
+        for cell in expand_named("fig-ensemble")
+    }
+    assert ensembles == set(itertools.product((1, 3, 5), (True, False)))
+
+
+def expand_named(name: str) -> tuple[Cell, ...]:
+    return expand(read_manifest(name))
+
+
+@pytest.mark.parametrize(
+    ("grid", "said"),
+    [
+        ({}, "it has no tasks: Tasks to be learned."),
+        ({"tasks": []}, "tasks is []"),
+        ({"tasks": "reach"}, "tasks is 'reach', allowed: a list"),
+        (GRID | {"seed": [1]}, "unknown key 'seed'"),
+        (GRID | {"seeds": [1, 1]}, "seeds names 1 twice"),
+        (GRID | {"seeds": [-1]}, "seeds is -1"),
+        (GRID | {"seeds": [True]}, "seeds is True"),
+        (GRID | {"budgets": [0]}, "budgets is 0"),
+        (GRID | {"until_success": 2}, "until_success is 2"),
+        (GRID | {"variants": {"a/b": {}}}, "a variant is called 'a/b'"),
+        (GRID | {"variants": {"a": {"learner.ddpg.gama": 1}}}, "did you mean 'learner.ddpg.gamma'"),
+        (GRID | {"settings": {"learner.ddpg.gamma": 2}}, "gamma is 2"),
+        (GRID | {"settings": {"task": "push"}}, "task cannot be set there"),
+        (GRID | {"presets": ["papre"]}, "unknown preset 'papre'"),
+        (GRID | {"algos": ["hre"]}, "unknown algorithm 'hre'"),
+        ({"tasks": ["raech"]}, "unknown task 'raech'"),
+        (GRID | {"robot": "nobody"}, "unknown robot 'nobody'"),
+    ],
+)
+def test_what_is_wrong_in_a_grid_is_one_sentence(
+    tmp_path: Path, grid: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UserError) as caught:
+        cells_of(tmp_path, grid)
+
+    assert said in str(caught.value)
+    assert "m.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_wrong_around_the_grids(tmp_path: Path) -> None:
+    def said(*grids: dict[str, Any], **head: Any) -> str:
+        with pytest.raises(UserError) as caught:
+            cells_of(tmp_path, *grids, **head)
+        return str(caught.value)
+
+    assert "grids is []" in said()
+    assert "unknown key 'titel'" in said(GRID, titel="x")
+    assert "grid 2: unknown key 'task'" in said(GRID, {"task": ["reach"]})
+    assert "two cells are called reach-iher-default-seed0" in said(GRID, GRID)
+    with pytest.raises(UserError, match=r"unknown experiment 'smok'.*did you mean 'smoke'"):
+        read_manifest("smok")
+    with pytest.raises(UserError, match=r"no experiment file at .*there\.yaml"):
+        read_manifest(str(tmp_path / "there.yaml"))
+
+
+SEARCH = {"parameters": {"learner.ddpg.gamma": {"low": 0.9, "high": 0.99}}, "trials": 3}
+
+
+@pytest.mark.parametrize(
+    ("search", "said"),
+    [
+        (SEARCH, "it has no objective"),
+        (SEARCH | {"objective": "speed"}, "objective is 'speed', allowed: one of"),
+        ({"low": 1.0}, "give low and high, or choices"),
+        ({"low": 1.0, "high": 1.0}, "allowed: low < high"),
+        ({"low": 0.0, "high": 1.0, "log": True}, "allowed with log: 0 < low"),
+        ({"low": 0.5, "high": 2.0, "integer": True}, "allowed: whole numbers"),
+        ({"choices": [1], "low": 0.5}, "choices stand alone"),
+        ({"choices": [[1]]}, "choices are text, numbers"),
+    ],
+)
+def test_what_is_wrong_in_a_search(tmp_path: Path, search: dict[str, Any], said: str) -> None:
+    if "parameters" not in search:
+        parameters = {"learner.ddpg.gamma": search}
+        search = SEARCH | {"objective": "success-at-budget", "parameters": parameters}
+    with pytest.raises(UserError) as caught:
+        cells_of(tmp_path, GRID, search=search)
+    assert said in str(caught.value)
+
+
+def test_a_search_has_one_grid(tmp_path: Path) -> None:
+    search = SEARCH | {"objective": "success-at-budget"}
+    with pytest.raises(UserError, match="a search has one grid, and there are 2"):
+        cells_of(tmp_path, GRID, {"tasks": ["push"]}, search=search)

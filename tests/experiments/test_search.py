@@ -1,0 +1,136 @@
+"""Searches for settings."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from iher_robot.errors import UserError
+from iher_robot.experiments.board import Board
+from iher_robot.experiments.cell_process import Order, Outcome
+from iher_robot.experiments.cells import Cell, expand
+from iher_robot.experiments.executor import LocalExecutor
+from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.manifest import read_manifest
+from iher_robot.experiments.running import Running
+from tests.experiments.small import write_manifest
+from tests.run_folders import make_run
+
+pytest.importorskip("optuna")
+pytest.importorskip("pandas")
+
+from iher_robot.experiments.search import SearchRun
+
+SEARCH = {
+    "parameters": {
+        "learner.ddpg.gamma": {"low": 0.5, "high": 0.99},
+        "learner.ddpg.batch_size": {"choices": [64, 128]},
+    },
+    "objective": "minutes-to-success",
+    "success": 0.9,
+    "trials": 12,
+    "seed": 3,
+}
+GRID = {"presets": ["default"], "algos": ["iher"], "budgets": [2.0], "settings": {}}
+
+
+@pytest.fixture(autouse=True)
+def with_any_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The runs that stand for training have settings of their own."""
+
+    def look(folder: ExperimentFolder, cell: Cell) -> str:
+        return "finished" if folder.run(cell.name).path.exists() else "new"
+
+    monkeypatch.setattr("iher_robot.experiments.running.prepare", look)
+
+
+class Instant(LocalExecutor):
+    """Stands in for training: what a cell comes to follows from its settings alone."""
+
+    def __init__(self, folder: ExperimentFolder) -> None:
+        super().__init__(1)
+        self.folder = folder
+
+    def _run(self, order: Order) -> Outcome:
+        overrides = [word for word in order.options if "=" in word]
+        gamma = float(next(word for word in overrides if "gamma" in word).split("=")[1])
+        run = self.folder.run(order.name)
+        make_run(run.path, budget_minutes=2.0)
+        run.append_metrics({"epoch": 1, "robot_minutes": 0.5, "success": 0.1})
+        run.append_metrics(
+            {"epoch": 2, "robot_minutes": 1.0 + (gamma - 0.8) ** 2, "success": 0.95}
+            if gamma < 0.9
+            else {"epoch": 2, "robot_minutes": 2.0, "success": 0.45}
+        )
+        return Outcome(order.name, "finished")
+
+
+def search(folder: Path, **changed: Any) -> list[dict[str, str]]:
+    manifest = read_manifest(write_manifest(folder / "m.yaml", GRID, search=SEARCH | changed))
+    out = ExperimentFolder(folder / "out")
+    assert manifest.search is not None
+    assert len(expand(manifest)) == 1
+    with out.hold(), Instant(out) as executor:
+        running = Running(out, executor, Board("", enabled=False))
+        made = SearchRun(manifest, manifest.search, running)
+        out.begin(manifest, {"command": []}, made.identities)
+        try:
+            made.run()
+        finally:
+            assert {i.name for i in out.identities()} >= set(running.outcomes)
+    with out.trials_path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_search_finds_what_is_better(tmp_path: Path) -> None:
+    trials = search(tmp_path)
+
+    assert [trial["state"] for trial in trials] == ["complete"] * 12
+    for trial in trials:
+        gamma, value = float(trial["learner.ddpg.gamma"]), float(trial["minutes-to-success"])
+        # Not reached counts as a budget and the part of one by which the last rate misses.
+        assert value == pytest.approx(1.0 + (gamma - 0.8) ** 2 if gamma < 0.9 else 2.0 * 1.5)
+        assert int(trial["learner.ddpg.batch_size"]) in (64, 128)
+    assert len({trial["learner.ddpg.gamma"] for trial in trials}) == 12
+    assert (tmp_path / "out" / "search.sqlite").exists()
+
+
+def test_a_search_goes_on_as_if_it_had_not_been_interrupted(tmp_path: Path) -> None:
+    for name in ("whole", "cut"):
+        (tmp_path / name).mkdir()
+    whole = search(tmp_path / "whole")
+
+    sooner = search(tmp_path / "cut", trials=5)
+    assert search(tmp_path / "cut") == whole
+    assert sooner == whole[:5]
+
+
+def test_a_search_with_other_ranges_is_refused(tmp_path: Path) -> None:
+    search(tmp_path, trials=1)
+    other = {"learner.ddpg.gamma": {"low": 0.1, "high": 0.2}}
+
+    with pytest.raises(UserError, match="with other ranges or choices than the manifest's"):
+        search(tmp_path, parameters=other)
+
+
+def test_a_trial_of_a_cell_that_fails_has_no_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: Instant, order: Order) -> Outcome:
+        return Outcome(order.name, "failed", "exit code 1")
+
+    monkeypatch.setattr(Instant, "_run", fail)
+
+    trials = search(tmp_path, trials=2)
+
+    assert [(t["state"], t["minutes-to-success"]) for t in trials] == [("fail", "")] * 2
+
+
+def test_a_search_without_optuna(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(UserError, match="the extra 'sweep'"):
+        search(tmp_path)
