@@ -267,7 +267,7 @@ class LearnerConfig(Section):
     exploration: ExplorationConfig = ExplorationConfig()
     symmetry: SymmetryConfig = SymmetryConfig()
     contact: ContactConfig = ContactConfig()
-    matmul_precision: Precision = "medium"
+    matmul_precision: Precision = "auto"
     """Precision of matrix products: of float32 ones as in ``torch.set_float32_matmul_precision``,
     where what ``medium`` does is up to the hardware; or ``bfloat16`` between hidden layers, while
     weights, their gradients' sums and moments, and the first and the last layer stay float32;

@@ -105,4 +105,5 @@ def small_config(**sections: dict[str, Any]) -> LearnerConfig:
     }
     for name, values in sections.items():
         base.setdefault(name, {}).update(values)
-    return LearnerConfig.model_validate(base)
+    # The same on every machine that runs the tests.
+    return LearnerConfig.model_validate(base | {"matmul_precision": "highest"})
