@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ import iher_robot.simulator_pool
 from iher_robot.budget import Budget
 from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
 from iher_robot.config import load_config
+from iher_robot.database import Database
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
@@ -38,7 +39,7 @@ from iher_robot.stored_episode import StoredEpisode
 from iher_robot.train import resume
 from iher_robot.workcell import open_pool, open_workcell
 from tests.remote.served import eventually, is_running
-from tests.small_runs import interruption, metrics, motion_ticks, stored_ticks
+from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
 from tests.small_runs import run as run_small
 
 MINUTES = 0.15001  # 225 ticks: two epochs of 100 ticks and a quarter of one
@@ -343,6 +344,54 @@ def test_an_interrupt_keeps_the_episodes_under_way(tmp_path: Path) -> None:
         run(out, simulators=2)
     assert [len(one.episode) for one in stored(out)] == [EPISODE_TICKS] * 2
     assert totals(out)["motion"] == 2 * EPISODE_TICKS
+
+
+def test_an_interrupt_while_an_episode_is_written_down_loses_nothing(
+    tmp_path: Path, one_after_the_other: Path
+) -> None:
+    """It comes when the first is in the index, and before the store knows."""
+    out, execute = tmp_path / "run", Database.execute
+    coming = ["INSERT INTO episode VALUES (?, ?, ?)", "COMMIT"]
+
+    def interrupted(database: Database, statement: str, values: Any = ()) -> Any:
+        cursor = execute(database, statement, values)
+        if coming and statement == coming[0]:
+            coming.pop(0)
+            if not coming:
+                raise Interruption
+        return cursor
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Database, "execute", interrupted)
+        with pytest.raises(Interruption):
+            run(out, simulators=2)
+    assert [len(one.episode) for one in stored(out)] == [EPISODE_TICKS] * 2
+    assert totals(out)["motion"] == 2 * EPISODE_TICKS
+    resume(out, simulators=1, display=False)
+    assert metrics(out) == metrics(one_after_the_other)
+
+
+def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
+    pool: Any = FakePool(2, [EPISODE_TICKS], itertools.cycle([0]))
+    start = pool.start
+
+    def refused(order: Order) -> Ticket:
+        if order.seed == 1:
+            raise UserError("the simulator is gone")
+        return cast(Ticket, start(order))
+
+    pool.start = refused
+    learner: Any = None
+    with Ledger(tmp_path / "ledger") as ledger, EpisodeStore(tmp_path / "episodes") as store:
+        with (
+            pytest.raises(UserError, match="the simulator is gone"),
+            SimulatedEpisodes(pool, Budget(ledger, TICKS), store, lambda n: n) as episodes,
+        ):
+            list(episodes.run(learner, epoch=1, first=0, count=3))
+        assert [one.seed for one in store] == [0]
+        assert ledger.spent_ticks("motion") == EPISODE_TICKS
+        assert ledger.spent_ticks("reset") == 1 + pool.opened_ticks
+        assert not ledger.open_reservations
 
 
 def test_a_killed_run_leaves_no_simulator_and_counts_what_was_reserved(tmp_path: Path) -> None:
