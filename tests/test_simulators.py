@@ -27,8 +27,10 @@ from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
 from iher_robot.config import load_config
 from iher_robot.database import Database
 from iher_robot.display import TrainingDisplay
+from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
+from iher_robot.evaluate import evaluate
 from iher_robot.evaluation import run_simulated
 from iher_robot.learning.episode import Episode
 from iher_robot.ledger import Ledger
@@ -36,7 +38,7 @@ from iher_robot.simulated_episode import Order, SimulatedEpisode
 from iher_robot.simulated_episodes import SimulatedEpisodes
 from iher_robot.simulator_pool import SimulatorPool, Ticket
 from iher_robot.stored_episode import StoredEpisode
-from iher_robot.train import resume
+from iher_robot.train import TrainResult, resume
 from iher_robot.workcell import open_pool, open_workcell
 from tests.remote.served import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
@@ -74,10 +76,10 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def run(out: Path, **options: Any) -> None:
+def run(out: Path, final_episodes: int = 0, **options: Any) -> TrainResult:
     """The cheapest run whose episodes are evaluated."""
-    evaluated = "evaluation.every_epochs=1"
-    run_small(out, MINUTES, evaluated, robot="fetch-mocap", algo="her", **options)
+    evaluated = ("evaluation.every_epochs=1", f"evaluation.final_episodes={final_episodes}")
+    return run_small(out, MINUTES, *evaluated, robot="fetch-mocap", algo="her", **options)
 
 
 def patch_simulators(patch: pytest.MonkeyPatch, then: str) -> None:
@@ -140,6 +142,34 @@ def test_a_run_is_the_same_with_any_number_of_simulators(
     run(tmp_path / "two", simulators=2)
     assert_same_run(tmp_path / "two", one_after_the_other)
     assert totals(tmp_path / "two") == totals(one_after_the_other)
+
+
+def test_the_final_policy_does_in_several_simulators_what_it_does_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_seeds, step = SimulatorPool.run, GoalRobotEnv.step
+    beside: list[SimulatedEpisode] = []
+    here: list[Any] = []
+
+    def noted(*args: Any) -> Iterator[SimulatedEpisode]:
+        for episode in run_seeds(*args):
+            beside.append(episode)
+            yield episode
+
+    def noted_step(*args: Any) -> Any:
+        result = step(*args)
+        here.append(result[0]["observation"])
+        return result
+
+    monkeypatch.setattr(SimulatorPool, "run", noted)
+    with monkeypatch.context() as patch:
+        patch.delattr(sys.modules["iher_robot.train"], "evaluate_on")
+        result = run(tmp_path / "run", simulators=2, final_episodes=3)
+    monkeypatch.setattr(GoalRobotEnv, "step", noted_step)
+    assert result.final == evaluate(result.policy, episodes=3, robot="fetch-mocap")
+    episodes = [one.episode() for one in beside[-3:]]
+    found = np.concatenate([one.observations[1:] for one in episodes if one is not None])
+    assert_array_equal(np.array(here, found.dtype), found)
 
 
 def test_a_run_goes_on_with_another_number_of_simulators(
