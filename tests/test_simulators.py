@@ -234,14 +234,19 @@ def run_all(pool: SimulatorPool, orders: list[Order]) -> Iterator[SimulatedEpiso
 
 
 class FakePool:
-    """Ends episodes in any order; each as long as its seed says, if it is allowed to be."""
+    """Ends episodes in any order; each as long as its seed says, if it is allowed to be.
+
+    Where it says 0, the first with that seed ends before its first tick, and the next are whole.
+    """
 
     episode_ticks, opened_ticks = EPISODE_TICKS, 1
 
     def __init__(self, simulators: int, lengths: list[int], order: Iterator[int]) -> None:
         self._simulators, self._lengths, self._order = simulators, lengths, order
-        self._running: list[tuple[Ticket, Order]] = []
+        self._running: list[tuple[Ticket, Order, int]] = []
         self.most = 0
+        self.ran: list[tuple[int, int]] = []
+        """Seed and length of each episode, in the order in which they began."""
 
     def act_as(self, learner: object) -> None: ...
 
@@ -252,14 +257,16 @@ class FakePool:
         return len(self._running) < self._simulators
 
     def start(self, order: Order) -> Ticket:
-        self._running.append((Ticket(), order))
+        wanted = self._lengths[order.seed % len(self._lengths)]
+        if not wanted and (order.seed, 0) in self.ran:
+            wanted = EPISODE_TICKS
+        self.ran.append((order.seed, min(wanted, order.ticks)))
+        self._running.append((Ticket(), order, self.ran[-1][1]))
         self.most = max(self.most, len(self._running))
         return self._running[-1][0]
 
     def wait(self) -> None:
-        ticket, order = self._running.pop(next(self._order) % len(self._running))
-        wanted = self._lengths[order.seed % len(self._lengths)]
-        length = min(wanted, order.ticks)
+        ticket, order, length = self._running.pop(next(self._order) % len(self._running))
         zeros = np.zeros((length, 1))
         data = Episode(np.zeros((length + 1, 1)), zeros, zeros, np.ones(length, bool), np.zeros(1))
         ticket.settle(
@@ -279,10 +286,9 @@ class FakePool:
 
 
 def collect(
-    folder: Path, simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
+    folder: Path, pool: Any, budget_ticks: int
 ) -> tuple[list[tuple[int, int, int, list[int]]], int, int]:
     """Run epochs of three episodes until the budget is spent; what is kept, and what it cost."""
-    pool: Any = FakePool(simulators, lengths, itertools.cycle(order))
     folder.mkdir()
     with (
         Ledger(folder / "ledger.sqlite") as ledger,
@@ -317,25 +323,37 @@ def test_the_same_episodes_for_any_budget_and_whichever_ends_first(
     simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
 ) -> None:
     with TemporaryDirectory(dir=MEMORY) as folder:
-        one = collect(Path(folder) / "one", 1, budget_ticks, lengths, [0])
-        many = collect(Path(folder) / "many", simulators, budget_ticks, lengths, order)
+        alone = FakePool(1, lengths, itertools.repeat(0))
+        one = collect(Path(folder) / "one", alone, budget_ticks)
+        beside = FakePool(simulators, lengths, itertools.cycle(order))
+        many = collect(Path(folder) / "many", beside, budget_ticks)
     assert one == many
     assert one[1] == budget_ticks
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
+    simulators=st.integers(1, 4),
     budget_ticks=st.integers(1, 420),
     lengths=st.lists(st.integers(0, 80), min_size=1, max_size=5),
     order=st.lists(st.integers(0, 3), min_size=1, max_size=6),
 )
 def test_no_number_is_left_out_where_an_episode_ends_before_its_first_tick(
-    budget_ticks: int, lengths: list[int], order: list[int]
+    simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
 ) -> None:
+    """Those begun after it are charged and thrown away, of which one simulator begins none."""
+    pool = FakePool(simulators, lengths, itertools.cycle(order))
     with TemporaryDirectory(dir=MEMORY) as folder:
-        kept, motion, _ = collect(Path(folder) / "run", 3, budget_ticks, lengths, order)
-    assert [seed for seed, *_ in kept] == list(range(len(kept)))
-    assert sum(length for _, _, length, _ in kept) <= motion == budget_ticks
+        kept, motion, reset = collect(Path(folder) / "run", pool, budget_ticks)
+    expected: list[tuple[int, int]] = []
+    for seed, length in pool.ran:
+        if seed == len(expected) and length:
+            expected.append((seed, length))
+    assert [(seed, length) for seed, _, length, _ in kept] == expected
+    assert motion == sum(max(length, 1) for _, length in pool.ran) == budget_ticks
+    assert reset == len(pool.ran) + pool.opened_ticks
+    if simulators == 1:
+        assert [one for one in pool.ran if one[1]] == expected
 
 
 def test_an_error_in_one_simulator_keeps_what_was_recorded_in_all(tmp_path: Path) -> None:
