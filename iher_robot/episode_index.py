@@ -153,9 +153,15 @@ class EpisodeIndex(Closing):
         with self._database.transaction():
             self._database.execute("INSERT INTO episode VALUES (?, ?, ?)", (*row, row_seal(*row)))
             self._clear()
-        self.digests.append(digest)
-        self.running = None
+        self._take([digest])
         self._database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def catch_up(self) -> None:
+        """Take in what is written down, and was not taken since an interrupt came before."""
+        query = "SELECT sha256 FROM episode WHERE id >= ? ORDER BY id"
+        rows = self._database.rows(query, (len(self.digests),))
+        if rows:
+            self._take([digest for (digest,) in rows])
 
     def forget_running(self) -> None:
         """Forget an episode under way of which no tick is recorded."""
@@ -167,6 +173,10 @@ class EpisodeIndex(Closing):
     def close(self) -> None:
         """Release the file; closing twice does nothing."""
         self._database.close()
+
+    def _take(self, digests: list[str]) -> None:
+        self.running = None  # first: an interrupt finds the episodes not taken, and they will be
+        self.digests += digests
 
     def _insert(self, number: int, tick: RecordedTick) -> None:
         # The first record says what all of them are, as a file of NumPy's does.

@@ -176,20 +176,27 @@ class EpisodeStore(EpisodeReader):
         self._index.record(tick)
         self._note()
 
-    def keep(self, stored: StoredEpisode) -> None:
+    def keep(self, stored: StoredEpisode, index: int) -> None:
         """Store a whole episode that came about elsewhere; when this returns, it is durable.
 
-        It is in the journal as a whole before it is sealed, so that a crash leaves it there.
+        It is in the journal as a whole before it is sealed, so that a crash leaves it there. After
+        an interrupt the same may be asked again: what is left to do is done.
 
         Args:
             stored: It, whatever its index was elsewhere.
+            index: Its own: that of the next one, when this was first asked.
 
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
+        self._index.catch_up()
+        if index < len(self):
+            self._note()
+            return
+        assert index == len(self), "one after the other"
         episode = stored.episode
         running = Running(
-            len(self), stored.header, episode.observations[0], episode.desired_goal, stored.ticks()
+            index, stored.header, episode.observations[0], episode.desired_goal, stored.ticks()
         )
         self._index.begin(running, durable=False)
         self._note()

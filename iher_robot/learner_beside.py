@@ -71,14 +71,12 @@ class LearnerBeside(RunLearner):
             )
         return learned
 
-    def look(self) -> bool:
+    def look(self) -> None:
         """Take in what has arrived."""
         while self._receive(0.0):
             pass
-        if self._arrived is None or not self._prompt or self._state is self._arrived["state"]:
-            return False
-        self._act_as(self._arrived["state"])
-        return True
+        if self._prompt and self._arrived is not None:
+            self._catch_up(self._arrived["state"])
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps of the learner."""
@@ -93,8 +91,7 @@ class LearnerBeside(RunLearner):
             self._receive(_LOOK_S)
             self._progress(*self._phase)
         message, self._arrived = self._arrived, None
-        if self._state is not message["state"]:
-            self._act_as(message["state"])
+        self._catch_up(message["state"])
         metrics: dict[str, float] = message["metrics"]
         return metrics
 
@@ -107,6 +104,10 @@ class LearnerBeside(RunLearner):
         else:
             self._arrived, self._phase = message, ("learn", 0, 0)
         return True
+
+    def _catch_up(self, state: dict[str, Any]) -> None:
+        if self._state is not state:
+            self._act_as(state)
 
     def _act_as(self, state: dict[str, Any]) -> None:
         # Streams of another device do not fit here, and nothing that acts draws from them.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import signal
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -15,6 +15,7 @@ from iher_robot.config import RunConfig
 from iher_robot.errors import UserError
 from iher_robot.own_process import end_with_the_other_side
 from iher_robot.process_messages import (
+    GONE,
     Message,
     receive_message,
     send_message,
@@ -40,12 +41,11 @@ def main(descriptor: int) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
     end_with_the_other_side(descriptor)  # in the middle of learning, too
     connection = Connection(descriptor)
-    try:
-        _serve(connection)
-    except EOFError:
-        pass  # the other side is gone, and this process is about to be
-    except (UserError, DriverError, TaskError) as error:
-        send_message(connection, {"kind": "failed", "sentence": str(error)})
+    with suppress(*GONE):  # as this process is about to be
+        try:
+            _serve(connection)
+        except (UserError, DriverError, TaskError) as error:
+            send_message(connection, {"kind": "failed", "sentence": str(error)})
 
 
 def _serve(connection: Connection) -> None:

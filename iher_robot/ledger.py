@@ -113,6 +113,7 @@ class Ledger(Closing):
     @property
     def open_reservations(self) -> dict[int, tuple[Account, int]]:
         """Account and ticks of what is reserved and not settled, by number."""
+        self._take_new_entries()  # an interrupt may have come before the last one was taken
         return dict(self._accounts.open)
 
     @property

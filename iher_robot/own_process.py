@@ -45,6 +45,15 @@ class OwnProcess(Closing):
         self._torn = False
 
     @property
+    def is_open(self) -> bool:
+        """Whether it was started, and not closed since."""
+        return self._connection is not None
+
+    def unheard(self) -> UserError:
+        """The error where something that it said is lost, as an interrupt leaves it."""
+        return UserError(f"{self._title} was not heard to the end; {_KEPT}, {self._advice}")
+
+    @property
     def connection(self) -> Connection:
         """The way to it, for ``multiprocessing.connection.wait``."""
         assert self._connection is not None, "start comes first"
@@ -53,8 +62,7 @@ class OwnProcess(Closing):
     def start(self) -> None:
         """Start it; it is not waited for."""
         ours, its = socket.socketpair()
-        self._connection = Connection(ours.detach())
-        with its:
+        with ours, its:
             paths, number = json.dumps(sys.path), str(its.fileno())
             # In a session of its own: a Ctrl-C is for the run, which ends it in order; and where
             # Linux shares time out by session, it takes none of the control loop's part.
@@ -64,6 +72,7 @@ class OwnProcess(Closing):
                 pass_fds=(its.fileno(),),
                 start_new_session=True,
             )
+            self._connection = Connection(ours.detach())  # last: then it can be heard
 
     def send(self, message: Mapping[str, Any]) -> None:
         """Send a message.
@@ -90,7 +99,7 @@ class OwnProcess(Closing):
             UserError: The process is gone, or says why it cannot go on.
         """
         if self._torn:
-            raise UserError(f"{self._title} was not heard to the end; {_KEPT}, {self._advice}")
+            raise self.unheard()
         try:
             if not self.connection.poll(timeout_s):
                 return None

@@ -14,6 +14,9 @@ from iher_robot.learning.episode import Episode
 
 Message = dict[str, Any]
 
+GONE = (EOFError, ConnectionError)
+"""Errors of a message where the other side is gone."""
+
 _ARRAYS = tuple(field.name for field in dataclasses.fields(Episode))
 
 

@@ -50,8 +50,8 @@ class RunLearner(Closing):
         """
 
     @abstractmethod
-    def look(self) -> bool:
-        """Say between two episodes whether a newer policy acts from now on.
+    def look(self) -> None:
+        """Let between two episodes a newer policy act from now on, if there is one.
 
         Raises:
             UserError: The learner cannot go on.
@@ -93,9 +93,8 @@ class LearnerInTurn(RunLearner):
         )
         return Learned(lesson, metrics)
 
-    def look(self) -> bool:
+    def look(self) -> None:
         """Nothing changes between two episodes."""
-        return False
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps of the learner."""

@@ -106,18 +106,22 @@ class SimulatedEpisodes(Closing):
         ending = sys.exception()
         try:
             while self._under_way:
+                one = self._under_way[0]
                 try:
-                    if not self._under_way[0].ticket.arrived:
+                    if not one.ticket.arrived:
                         self._pool.wait()
                         continue
-                    self._keep(self._under_way[0])
-                except ValueError:  # one that cannot be kept, or was already
-                    self._in_order = False
+                    self._keep(one)
+                except UserError:
                     if ending is None:
                         raise
+                    if not one.ticket.arrived:
+                        continue  # another simulator, which could not be started
+                    self._in_order = False  # it cannot be kept, and those after it not without it
                 self._under_way.popleft()
         finally:
             self._under_way.clear()
+            self._stack.close()  # what is not settled counts in full
 
     @property
     def _next_ticks(self) -> int:
@@ -132,7 +136,12 @@ class SimulatedEpisodes(Closing):
         # Of a simulated robot, for which nobody walks to a table, far more than a reset takes.
         ahead = self._pool.episode_ticks
         reset = self._stack.enter_context(self._budget.ledger.reserve("reset", ahead))
-        ticket = self._pool.start(Order(seed, ticks, explores=True))
+        try:
+            ticket = self._pool.start(Order(seed, ticks, explores=True))
+        except UserError:  # it has not begun
+            self._settle(motion, 0)
+            self._settle(reset, 0)
+            raise
         self._under_way.append(_UnderWay(epoch, seed, ticket, motion, reset))
 
     def _keep(self, one: _UnderWay) -> SimulatedEpisode:
@@ -144,8 +153,7 @@ class SimulatedEpisodes(Closing):
         begins = self._seq + reset_ticks
         if self._in_order and episode.data is not None:
             one.place = len(self._store) if one.place is None else one.place
-            if len(self._store) == one.place:
-                self._store.keep(_stored(one, episode, begins))
+            self._store.keep(_stored(one, episode, begins), one.place)
         self._settle(one.reset, reset_ticks)
         self._settle(one.motion, episode.ticks)
         if episode.data is None:

@@ -64,7 +64,13 @@ class _Simulator(OwnProcess):
         )
         self.ready = False
         self.ticket: Ticket | None = None
+        """Of the episode that it was told last."""
         self.actor = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether it has something to tell yet."""
+        return not self.ready or not (self.ticket is None or self.ticket.arrived)
 
 
 class SimulatorPool(Closing):
@@ -143,7 +149,7 @@ class SimulatorPool(Closing):
         Raises:
             UserError: One could not be started.
         """
-        busy = {s.connection: s for s in self._simulators if s.ticket or not s.ready}
+        busy = {s.connection: s for s in self._simulators if s.busy and s.is_open}
         assert busy, "nothing is under way"
         for connection in wait(list(busy)):
             self._hear(busy[connection])  # type: ignore[index]
@@ -182,27 +188,34 @@ class SimulatorPool(Closing):
             simulator.close()
 
     def _idle(self) -> _Simulator | None:
-        return next((s for s in self._simulators if s.ready and s.ticket is None), None)
+        return next((s for s in self._simulators if not s.busy), None)
 
     def _hear(self, simulator: _Simulator) -> None:
         try:
             message = simulator.receive(0.0)
+            if message is not None:
+                self._take(simulator, message)
         except UserError as error:
-            self._lose(simulator, error)
-            return
-        if message is None:
-            return
+            if not self._lose(simulator, error):
+                raise
+        except BaseException:  # an interrupt: what it said is gone, and nobody may wait for it
+            self._lose(simulator, simulator.unheard())
+            raise
+
+    def _take(self, simulator: _Simulator, message: Message) -> None:
         if message["kind"] == "ready":
             simulator.ready, self.opened_ticks = True, message["opened_ticks"]
             return
-        ticket, simulator.ticket = simulator.ticket, None
-        assert ticket is not None, "a simulator tells of what it was told to run"
-        ticket.settle(SimulatedEpisode.from_message(message))
+        assert simulator.ticket is not None, "a simulator tells of what it was told to run"
+        simulator.ticket.settle(SimulatedEpisode.from_message(message))
 
-    def _lose(self, simulator: _Simulator, error: UserError) -> None:
+    def _lose(self, simulator: _Simulator, error: UserError) -> bool:
+        """Do without a simulator; returns whether it had an episode, whose ticket has the error."""
         self._broken = True
-        self._simulators.remove(simulator)
+        ticket = simulator.ticket
+        ran = ticket is not None and not ticket.arrived
+        if ticket is not None and ran:
+            ticket.settle(error)  # first: somebody may wait for it
         simulator.close()
-        if simulator.ticket is None:
-            raise error
-        simulator.ticket.settle(error)
+        self._simulators.remove(simulator)
+        return ran

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import traceback
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import torch
@@ -17,7 +18,7 @@ from iher_robot.errors import UserError, describe
 from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.policy import Policy
 from iher_robot.own_process import end_with_the_other_side
-from iher_robot.process_messages import Message, receive_message, send_message
+from iher_robot.process_messages import GONE, Message, receive_message, send_message
 from iher_robot.simulated_episode import Order, SentRecorder
 from iher_robot.stored_episode import DONE
 from iher_robot.workcell import prepare_torch
@@ -36,12 +37,11 @@ def main(descriptor: int) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
     end_with_the_other_side(descriptor)
     connection = Connection(descriptor)
-    try:
-        _serve(connection)
-    except EOFError:
-        pass  # the other side is gone, and this process is about to be
-    except _TOLD as error:
-        send_message(connection, {"kind": "failed", "sentence": str(error)})
+    with suppress(*GONE):  # as this process is about to be
+        try:
+            _serve(connection)
+        except _TOLD as error:
+            send_message(connection, {"kind": "failed", "sentence": str(error)})
 
 
 def _serve(connection: Connection) -> None:

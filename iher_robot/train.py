@@ -17,15 +17,17 @@ from torch.utils.tensorboard import SummaryWriter
 from iher_robot.budget import Budget
 from iher_robot.callable_module import make_module_callable
 from iher_robot.chosen_robot import ChosenRobot
+from iher_robot.collect import Stream, episode_seed
 from iher_robot.config import change_simulators, dump_config, load_config, read_config
 from iher_robot.deployment_operator import Operator
 from iher_robot.display import TrainingDisplay
 from iher_robot.episode_store import EpisodeStore
 from iher_robot.errors import UserError
 from iher_robot.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
+from iher_robot.evaluation import run_evaluation
 from iher_robot.interface_file import keep_interface
 from iher_robot.ledger import Ledger
-from iher_robot.policy_fit import load_actor
+from iher_robot.policy_fit import check_fit, load_actor
 from iher_robot.provenance import collect_provenance
 from iher_robot.run_directory import RunDirectory, default_run_path
 from iher_robot.run_result import RunResult, write_result
@@ -273,9 +275,16 @@ def _final_evaluation(
     episodes = config.evaluation.final_episodes or (FILMED_EPISODES if video else 0)
     if cell.simulator is None or not episodes:
         return None
+    actor = load_actor(directory.policy_path)
+    if cell.pool is not None and not video:  # frames are rendered one episode after the other
+        seeds = [episode_seed(config.seed, Stream.FINAL_EVALUATION, i) for i in range(episodes)]
+        warnings = check_fit(actor, cell.env)
+        successes = run_evaluation(cell.pool.run(cell.learner, seeds)).successes
+        title = config.chosen_robot.title
+        return EvaluationResult(actor.task.name, title, successes, episodes, warnings, None)
     return evaluate_on(
         config.chosen_robot,
-        load_actor(directory.policy_path),
+        actor,
         episodes=episodes,
         seed=config.seed,
         video=directory.film_path if video else None,

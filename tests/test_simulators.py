@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,9 +25,12 @@ import iher_robot.simulator_pool
 from iher_robot.budget import Budget
 from iher_robot.collect import Recorder, Stream, episode_seed, run_episode
 from iher_robot.config import load_config
+from iher_robot.database import Database
 from iher_robot.display import TrainingDisplay
+from iher_robot.env import GoalRobotEnv
 from iher_robot.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.errors import UserError
+from iher_robot.evaluate import evaluate
 from iher_robot.evaluation import run_simulated
 from iher_robot.learning.episode import Episode
 from iher_robot.ledger import Ledger
@@ -35,10 +38,10 @@ from iher_robot.simulated_episode import Order, SimulatedEpisode
 from iher_robot.simulated_episodes import SimulatedEpisodes
 from iher_robot.simulator_pool import SimulatorPool, Ticket
 from iher_robot.stored_episode import StoredEpisode
-from iher_robot.train import resume
+from iher_robot.train import TrainResult, resume
 from iher_robot.workcell import open_pool, open_workcell
 from tests.remote.served import eventually, is_running
-from tests.small_runs import interruption, metrics, motion_ticks, stored_ticks
+from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
 from tests.small_runs import run as run_small
 
 MINUTES = 0.15001  # 225 ticks: two epochs of 100 ticks and a quarter of one
@@ -73,10 +76,10 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def run(out: Path, **options: Any) -> None:
+def run(out: Path, final_episodes: int = 0, **options: Any) -> TrainResult:
     """The cheapest run whose episodes are evaluated."""
-    evaluated = "evaluation.every_epochs=1"
-    run_small(out, MINUTES, evaluated, robot="fetch-mocap", algo="her", **options)
+    evaluated = ("evaluation.every_epochs=1", f"evaluation.final_episodes={final_episodes}")
+    return run_small(out, MINUTES, *evaluated, robot="fetch-mocap", algo="her", **options)
 
 
 def patch_simulators(patch: pytest.MonkeyPatch, then: str) -> None:
@@ -141,6 +144,34 @@ def test_a_run_is_the_same_with_any_number_of_simulators(
     assert totals(tmp_path / "two") == totals(one_after_the_other)
 
 
+def test_the_final_policy_does_in_several_simulators_what_it_does_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_seeds, step = SimulatorPool.run, GoalRobotEnv.step
+    beside: list[SimulatedEpisode] = []
+    here: list[Any] = []
+
+    def noted(*args: Any) -> Iterator[SimulatedEpisode]:
+        for episode in run_seeds(*args):
+            beside.append(episode)
+            yield episode
+
+    def noted_step(*args: Any) -> Any:
+        result = step(*args)
+        here.append(result[0]["observation"])
+        return result
+
+    monkeypatch.setattr(SimulatorPool, "run", noted)
+    with monkeypatch.context() as patch:
+        patch.delattr(sys.modules["iher_robot.train"], "evaluate_on")
+        result = run(tmp_path / "run", simulators=2, final_episodes=3)
+    monkeypatch.setattr(GoalRobotEnv, "step", noted_step)
+    assert result.final == evaluate(result.policy, episodes=3, robot="fetch-mocap")
+    episodes = [one.episode() for one in beside[-3:]]
+    found = np.concatenate([one.observations[1:] for one in episodes if one is not None])
+    assert_array_equal(np.array(here, found.dtype), found)
+
+
 def test_a_run_goes_on_with_another_number_of_simulators(
     tmp_path: Path, one_after_the_other: Path
 ) -> None:
@@ -203,14 +234,19 @@ def run_all(pool: SimulatorPool, orders: list[Order]) -> Iterator[SimulatedEpiso
 
 
 class FakePool:
-    """Ends episodes in any order; each as long as its seed says, if it is allowed to be."""
+    """Ends episodes in any order; each as long as its seed says, if it is allowed to be.
+
+    Where it says 0, the first with that seed ends before its first tick, and the next are whole.
+    """
 
     episode_ticks, opened_ticks = EPISODE_TICKS, 1
 
     def __init__(self, simulators: int, lengths: list[int], order: Iterator[int]) -> None:
         self._simulators, self._lengths, self._order = simulators, lengths, order
-        self._running: list[tuple[Ticket, Order]] = []
+        self._running: list[tuple[Ticket, Order, int]] = []
         self.most = 0
+        self.ran: list[tuple[int, int]] = []
+        """Seed and length of each episode, in the order in which they began."""
 
     def act_as(self, learner: object) -> None: ...
 
@@ -221,14 +257,16 @@ class FakePool:
         return len(self._running) < self._simulators
 
     def start(self, order: Order) -> Ticket:
-        self._running.append((Ticket(), order))
+        wanted = self._lengths[order.seed % len(self._lengths)]
+        if not wanted and (order.seed, 0) in self.ran:
+            wanted = EPISODE_TICKS
+        self.ran.append((order.seed, min(wanted, order.ticks)))
+        self._running.append((Ticket(), order, self.ran[-1][1]))
         self.most = max(self.most, len(self._running))
         return self._running[-1][0]
 
     def wait(self) -> None:
-        ticket, order = self._running.pop(next(self._order) % len(self._running))
-        wanted = self._lengths[order.seed % len(self._lengths)]
-        length = min(wanted, order.ticks)
+        ticket, order, length = self._running.pop(next(self._order) % len(self._running))
         zeros = np.zeros((length, 1))
         data = Episode(np.zeros((length + 1, 1)), zeros, zeros, np.ones(length, bool), np.zeros(1))
         ticket.settle(
@@ -248,10 +286,9 @@ class FakePool:
 
 
 def collect(
-    folder: Path, simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
+    folder: Path, pool: Any, budget_ticks: int
 ) -> tuple[list[tuple[int, int, int, list[int]]], int, int]:
     """Run epochs of three episodes until the budget is spent; what is kept, and what it cost."""
-    pool: Any = FakePool(simulators, lengths, itertools.cycle(order))
     folder.mkdir()
     with (
         Ledger(folder / "ledger.sqlite") as ledger,
@@ -286,25 +323,37 @@ def test_the_same_episodes_for_any_budget_and_whichever_ends_first(
     simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
 ) -> None:
     with TemporaryDirectory(dir=MEMORY) as folder:
-        one = collect(Path(folder) / "one", 1, budget_ticks, lengths, [0])
-        many = collect(Path(folder) / "many", simulators, budget_ticks, lengths, order)
+        alone = FakePool(1, lengths, itertools.repeat(0))
+        one = collect(Path(folder) / "one", alone, budget_ticks)
+        beside = FakePool(simulators, lengths, itertools.cycle(order))
+        many = collect(Path(folder) / "many", beside, budget_ticks)
     assert one == many
     assert one[1] == budget_ticks
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
+    simulators=st.integers(1, 4),
     budget_ticks=st.integers(1, 420),
     lengths=st.lists(st.integers(0, 80), min_size=1, max_size=5),
     order=st.lists(st.integers(0, 3), min_size=1, max_size=6),
 )
 def test_no_number_is_left_out_where_an_episode_ends_before_its_first_tick(
-    budget_ticks: int, lengths: list[int], order: list[int]
+    simulators: int, budget_ticks: int, lengths: list[int], order: list[int]
 ) -> None:
+    """Those begun after it are charged and thrown away, of which one simulator begins none."""
+    pool = FakePool(simulators, lengths, itertools.cycle(order))
     with TemporaryDirectory(dir=MEMORY) as folder:
-        kept, motion, _ = collect(Path(folder) / "run", 3, budget_ticks, lengths, order)
-    assert [seed for seed, *_ in kept] == list(range(len(kept)))
-    assert sum(length for _, _, length, _ in kept) <= motion == budget_ticks
+        kept, motion, reset = collect(Path(folder) / "run", pool, budget_ticks)
+    expected: list[tuple[int, int]] = []
+    for seed, length in pool.ran:
+        if seed == len(expected) and length:
+            expected.append((seed, length))
+    assert [(seed, length) for seed, _, length, _ in kept] == expected
+    assert motion == sum(max(length, 1) for _, length in pool.ran) == budget_ticks
+    assert reset == len(pool.ran) + pool.opened_ticks
+    if simulators == 1:
+        assert [one for one in pool.ran if one[1]] == expected
 
 
 def test_an_error_in_one_simulator_keeps_what_was_recorded_in_all(tmp_path: Path) -> None:
@@ -343,6 +392,54 @@ def test_an_interrupt_keeps_the_episodes_under_way(tmp_path: Path) -> None:
         run(out, simulators=2)
     assert [len(one.episode) for one in stored(out)] == [EPISODE_TICKS] * 2
     assert totals(out)["motion"] == 2 * EPISODE_TICKS
+
+
+def test_an_interrupt_while_an_episode_is_written_down_loses_nothing(
+    tmp_path: Path, one_after_the_other: Path
+) -> None:
+    """It comes when the first is in the index, and before the store knows."""
+    out, execute = tmp_path / "run", Database.execute
+    coming = ["INSERT INTO episode VALUES (?, ?, ?)", "COMMIT"]
+
+    def interrupted(database: Database, statement: str, values: Any = ()) -> Any:
+        cursor = execute(database, statement, values)
+        if coming and statement == coming[0]:
+            coming.pop(0)
+            if not coming:
+                raise Interruption
+        return cursor
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Database, "execute", interrupted)
+        with pytest.raises(Interruption):
+            run(out, simulators=2)
+    assert [len(one.episode) for one in stored(out)] == [EPISODE_TICKS] * 2
+    assert totals(out)["motion"] == 2 * EPISODE_TICKS
+    resume(out, simulators=1, display=False)
+    assert metrics(out) == metrics(one_after_the_other)
+
+
+def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
+    pool: Any = FakePool(2, [EPISODE_TICKS], itertools.cycle([0]))
+    start = pool.start
+
+    def refused(order: Order) -> Ticket:
+        if order.seed == 1:
+            raise UserError("the simulator is gone")
+        return cast(Ticket, start(order))
+
+    pool.start = refused
+    learner: Any = None
+    with Ledger(tmp_path / "ledger") as ledger, EpisodeStore(tmp_path / "episodes") as store:
+        with (
+            pytest.raises(UserError, match="the simulator is gone"),
+            SimulatedEpisodes(pool, Budget(ledger, TICKS), store, lambda n: n) as episodes,
+        ):
+            list(episodes.run(learner, epoch=1, first=0, count=3))
+        assert [one.seed for one in store] == [0]
+        assert ledger.spent_ticks("motion") == EPISODE_TICKS
+        assert ledger.spent_ticks("reset") == 1 + pool.opened_ticks
+        assert not ledger.open_reservations
 
 
 def test_a_killed_run_leaves_no_simulator_and_counts_what_was_reserved(tmp_path: Path) -> None:
