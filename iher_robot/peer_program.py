@@ -1,0 +1,43 @@
+"""A process of ``torchrun`` that only learns: it has no robot, no folder, and says nothing."""
+
+from __future__ import annotations
+
+import signal
+
+from iher_robot.config import RunConfig
+from iher_robot.learner_messages import begin_learner, weights_number
+from iher_robot.peer_group import PeerGroup
+from iher_robot.process_messages import unpack_episodes
+from iher_robot.torchrun import Place
+
+
+def main(place: Place) -> None:
+    """Learn what the first process learns, as its peer; it ends this one.
+
+    Args:
+        place: Which process this is.
+
+    Raises:
+        UserError: A setting that this machine cannot meet.
+    """
+    # While the first is waited for, torchrun ends this one, at once.
+    _on_interrupts(signal.SIG_DFL)
+    with PeerGroup(place) as group:
+        group.join()
+        _on_interrupts(signal.SIG_IGN)  # the first, which gets one too, ends this process
+        begin = group.receive()
+        config = RunConfig.model_validate_json(begin["config"])
+        learner = begin_learner(begin, config, group.receive, group)
+        while True:
+            learner.add_real(unpack_episodes(group.receive()["episodes"]))
+            try:
+                learner.learn()
+            except FloatingPointError:
+                group.wait_for_end()  # as in all processes; the first one says so
+                raise
+            group.agree_on(weights_number(learner))
+
+
+def _on_interrupts(action: signal.Handlers) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, action)
