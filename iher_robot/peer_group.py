@@ -39,8 +39,7 @@ class PeerGroup(Closing):
     """The processes, as one of them sees them; the learners' ``Peers``.
 
     When the first one is gone, the others end at once, whatever they are doing, and say nothing.
-    Messages and the gradients of a processor travel by gloo, those of GPUs by NCCL, which nobody
-    has tried.
+    Messages, and gradients on a CPU, travel by gloo; those on GPUs by NCCL, which nobody has tried.
 
     Args:
         place: Which process this is.
@@ -64,9 +63,9 @@ class PeerGroup(Closing):
         else:
             while not store.check(arrived):  # not in one call, which no interrupt would end
                 time.sleep(_LOOK_S)
-        gpus = torch.cuda.is_available() and distributed.is_nccl_available()
-        if gpus:
-            torch.cuda.set_device(self._place.local_rank % torch.cuda.device_count())
+        gpus = distributed.is_nccl_available() and torch.cuda.is_available()
+        if gpus and self._place.local_rank < torch.cuda.device_count():
+            torch.cuda.set_device(self._place.local_rank)
         distributed.init_process_group(
             "cpu:gloo,cuda:nccl" if gpus else "gloo",
             store=store,

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import signal
 
+import torch
+
 from iher_robot.config import RunConfig
+from iher_robot.errors import UserError
 from iher_robot.learner_messages import begin_learner, weights_number
 from iher_robot.peer_group import PeerGroup
 from iher_robot.process_messages import unpack_episodes
 from iher_robot.torchrun import Place
+from iher_robot.workcell import pick_device
 
 
 def main(place: Place) -> None:
@@ -27,6 +31,7 @@ def main(place: Place) -> None:
         _on_interrupts(signal.SIG_IGN)  # the first, which gets one too, ends this process
         begin = group.receive()
         config = RunConfig.model_validate_json(begin["config"])
+        _require_device(config, place)
         learner = begin_learner(begin, config, group.receive, group)
         while True:
             learner.add_real(unpack_episodes(group.receive()["episodes"]))
@@ -36,6 +41,15 @@ def main(place: Place) -> None:
                 group.wait_for_end()  # as in all processes; the first one says so
                 raise
             group.agree_on(weights_number(learner))
+
+
+def _require_device(config: RunConfig, place: Place) -> None:
+    gpus = torch.cuda.device_count()
+    if pick_device(config.device).type == "cuda" and place.local_rank >= gpus:
+        raise UserError(
+            f"process {place.rank} of the {place.count} that learn together has no GPU: this "
+            f"machine has {gpus}; start no more processes on it, or give --device cpu"
+        )
 
 
 def _on_interrupts(action: signal.Handlers) -> None:
