@@ -83,7 +83,9 @@ def _sigterm_as_interrupt() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        # Where it is ignored the process is about to exit, and with a code of its own.
+        if signal.getsignal(signal.SIGTERM) is terminate:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _fail(sentence: str, exit_code: int) -> NoReturn:

@@ -10,6 +10,7 @@ import typer
 from iher_robot import UserError
 from iher_robot.cli_interrupts import told_when_interrupted
 from iher_robot.cli_options import ConnectOption, DriverOption, RobotOption
+from iher_robot.torchrun import read_place
 
 _BESIDE_RESUME = {"resume", "display", "simulators", "video"}
 
@@ -79,6 +80,12 @@ def train(
     ] = True,
 ) -> None:
     """Learn a task within a budget of robot minutes and leave a policy."""
+    place = read_place()
+    if place is not None and place.rank:
+        from iher_robot.peer_program import main as learn_with_others
+
+        learn_with_others(place)
+        return
     folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
     if stopped is not None:
         _refuse_settings_beside_resume(context)

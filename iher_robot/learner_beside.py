@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from iher_robot.learner_messages import begin_messages
 from iher_robot.learner_process import LearnerProcess
 from iher_robot.learning.imaginary_source import Progress
 from iher_robot.lesson import Learned, Lesson
@@ -40,22 +41,11 @@ class LearnerBeside(RunLearner):
 
     def begin(self, restored: Restored) -> None:
         """Take over the state of a stopped run, or begin as a new one."""
-        state, epochs = restored.learner, restored.by_epoch
         self._process.start()
-        self._process.send(
-            {
-                "kind": "begin",
-                "config": self._cell.config.model_dump_json(),
-                "spec": self._cell.env.robot_spec.to_dict(),
-                "simulated": self._cell.simulator is not None,
-                "state": state,
-                "epochs": len(epochs),
-            }
-        )
-        if state is not None:
-            for episodes in epochs:
-                self._process.send({"kind": "epoch", "episodes": pack_episodes(episodes)})
-            self._act_as(state)
+        for message in begin_messages(self._cell, restored):
+            self._process.send(message)
+        if restored.learner is not None:
+            self._act_as(restored.learner)
 
     def exchange(self, lesson: Lesson | None) -> Learned | None:
         """Wait for the epoch under way, and hand the next one over."""

@@ -6,13 +6,14 @@ import select
 import signal
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers import DriverError
-from drivers.remote.driver import read_spec
 from iher_robot.config import RunConfig
 from iher_robot.errors import UserError
+from iher_robot.learner_messages import begin_learner
 from iher_robot.own_process import end_with_the_other_side
 from iher_robot.process_messages import (
     GONE,
@@ -22,14 +23,8 @@ from iher_robot.process_messages import (
     unpack_episodes,
 )
 from iher_robot.run_learner import learn_epoch
-from iher_robot.workcell import (
-    make_learner,
-    open_pool,
-    pick_device,
-    prepare_torch,
-    seeds_runner,
-)
-from tasks import TaskError, make_task
+from iher_robot.workcell import open_pool, seeds_runner
+from tasks import TaskError
 
 
 def main(descriptor: int) -> None:
@@ -51,9 +46,7 @@ def main(descriptor: int) -> None:
 def _serve(connection: Connection) -> None:
     begin = receive_message(connection)
     config = RunConfig.model_validate_json(begin["config"])
-    prepare_torch(config)
-    task = make_task(config.task).bind(read_spec(begin["spec"]))
-    learner = make_learner(config, task, pick_device(config.device))
+    learner = begin_learner(begin, config, partial(receive_message, connection))
 
     def progress(phase: str, done: int, total: int) -> None:
         # Never waited for: the run looks only between two episodes.
@@ -67,12 +60,6 @@ def _serve(connection: Connection) -> None:
         if begin["simulated"]:
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
             run_seeds = seeds_runner(simulator, open_pool(config, simulator, stack))
-        if begin["state"] is not None:
-            finished = (
-                unpack_episodes(receive_message(connection)["episodes"])
-                for _ in range(begin["epochs"])
-            )
-            learner.load_state_dict(begin["state"], finished)
         while True:
             order = receive_message(connection)
             metrics = learn_epoch(

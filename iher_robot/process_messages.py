@@ -30,9 +30,7 @@ def send_message(connection: Connection, message: Mapping[str, Any]) -> None:
     Raises:
         OSError: The other side is gone.
     """
-    buffer = io.BytesIO()
-    torch.save(dict(message), buffer)
-    connection.send_bytes(buffer.getbuffer())
+    connection.send_bytes(pack_message(message))
 
 
 def receive_message(connection: Connection) -> Message:
@@ -42,8 +40,19 @@ def receive_message(connection: Connection) -> Message:
         EOFError: The other side is gone.
         OSError: It went in the middle of a message.
     """
-    content = io.BytesIO(connection.recv_bytes())
-    message: Message = torch.load(content, map_location="cpu", weights_only=True)
+    return unpack_message(connection.recv_bytes())
+
+
+def pack_message(message: Mapping[str, Any]) -> memoryview:
+    """A message as bytes. Dicts, lists, text, numbers, tensors."""
+    buffer = io.BytesIO()
+    torch.save(dict(message), buffer)
+    return buffer.getbuffer()
+
+
+def unpack_message(content: bytes | memoryview) -> Message:
+    """Read what ``pack_message`` returned; its tensors are on the CPU."""
+    message: Message = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     return message
 
 

@@ -207,6 +207,8 @@ def resume(
 def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool) -> TrainResult:
     config = cell.config
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
+    if cell.group is not None:
+        provenance["processes"] = cell.group.count
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on

@@ -22,6 +22,7 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation import Outcome, evaluate_learner
 from iher_robot.learner_beside import LearnerBeside
 from iher_robot.learner_process import LearnerProcess
+from iher_robot.learner_with_peers import LearnerWithPeers
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.ledger import Ledger
@@ -103,6 +104,8 @@ class TrainingRun:
     def _make_learning(self) -> RunLearner:
         if self.config.asynchronous:
             return LearnerBeside(self.cell, LearnerProcess(self.directory.path), self._phase)
+        if self.cell.group is not None:
+            return LearnerWithPeers(self.cell, self.cell.group, self.directory.path, self._phase)
         return LearnerInTurn(self.cell, self._phase)
 
     def run(self) -> Row:

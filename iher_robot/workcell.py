@@ -17,8 +17,11 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation import RunSeeds, run_simulated
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
+from iher_robot.learning.peers import ALONE, Peers
 from iher_robot.learning.precision import set_float32_products
+from iher_robot.peer_group import PeerGroup
 from iher_robot.simulator_pool import SimulatorPool
+from iher_robot.torchrun import read_place
 from tasks import GoalTask
 
 CPU = torch.device("cpu")
@@ -36,6 +39,7 @@ class Workcell:
         pool: Simulators beside each other; None where one is enough.
         learner: The learner; in an asynchronous run a copy that acts, on the CPU.
         budget_ticks: Control ticks that the budget grants.
+        group: Processes of ``torchrun`` that learn together; None where this one learns alone.
     """
 
     config: RunConfig
@@ -44,6 +48,7 @@ class Workcell:
     pool: SimulatorPool | None
     learner: Learner
     budget_ticks: int
+    group: PeerGroup | None = None
 
     def minutes_of(self, ticks: int) -> float:
         """Robot minutes of so many control ticks."""
@@ -113,8 +118,9 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         The workcell.
 
     Raises:
-        UserError: A setting that this machine or this robot cannot meet.
+        UserError: A setting that this machine, this robot or ``torchrun`` cannot meet.
     """
+    group = _make_group(config)
     device = pick_device(config.device)
     prepare_torch(config)
     with ExitStack() as stack:
@@ -123,9 +129,28 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
         if not (env.driver.spec.physical or env.driver.exclusive):
             simulator = stack.enter_context(config.chosen_robot.make_env(config.task))
         pool = open_pool(config, env, stack)
-        learner = make_learner(config, env.task, CPU if config.asynchronous else device)
+        learner = make_learner(
+            config, env.task, CPU if config.asynchronous else device, group or ALONE
+        )
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
-        yield Workcell(config, env, simulator, pool, learner, ticks)
+        yield Workcell(config, env, simulator, pool, learner, ticks, group)
+
+
+def _make_group(config: RunConfig) -> PeerGroup | None:
+    place = read_place()
+    if place is None:
+        return None
+    if place.rank:
+        raise UserError(
+            f"this is process {place.rank} of torchrun, which only learns, and has no robot; start "
+            "the command itself: torchrun ... -m iher_robot train ..."
+        )
+    if config.asynchronous:
+        raise UserError(
+            "with --async one process learns while the robot moves, with torchrun several learn "
+            "in turn with it; leave out one of the two"
+        )
+    return PeerGroup(place)
 
 
 def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> SimulatorPool | None:
@@ -167,16 +192,20 @@ def prepare_torch(config: RunConfig) -> None:
     set_float32_products(config.learner.matmul_precision, pick_device(config.device))
 
 
-def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Learner:
+def make_learner(
+    config: RunConfig, task: GoalTask, device: torch.device, peers: Peers = ALONE
+) -> Learner:
     """Make the learner of a run.
 
     Args:
         config: Settings of the run.
         task: The task, bound to the robot.
         device: Where replay, models and policy live.
+        peers: Learners with which it shares every batch.
 
     Raises:
-        UserError: A setting asks for what the task does not declare.
+        UserError: A setting asks for what the task does not declare, or for batches that cannot
+            be shared.
     """
     symmetry = task.symmetry(rough=config.learner.symmetry.rough)
     shapes = Shapes(
@@ -196,6 +225,7 @@ def make_learner(config: RunConfig, task: GoalTask, device: torch.device) -> Lea
             device=device,
             symmetry=symmetry,
             contact_model=task.contact_model,
+            peers=peers,
         )
     except ValueError as error:
         raise UserError(f"task {config.task!r}: {error}") from error

@@ -16,6 +16,7 @@ from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.meter import Meter
+from iher_robot.learning.peers import ALONE, Peers
 from iher_robot.learning.play import ContactPolicy
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import BLOCK, EpisodeReplay
@@ -35,6 +36,7 @@ class ContactLearner:
             optimisation is that of the main policy.
         seed: Seeds every draw.
         device: Where it computes.
+        peers: Learners with which it shares every batch.
 
     Attributes:
         rests: Whether the object was touched often enough for it to be left as it is.
@@ -48,6 +50,7 @@ class ContactLearner:
         *,
         seed: int,
         device: torch.device,
+        peers: Peers = ALONE,
     ) -> None:
         self.config = config
         self.model = model
@@ -71,7 +74,7 @@ class ContactLearner:
         shapes = dataclasses.replace(shapes, goal_dim=len(entries), goal_entries=entries)
         initial = torch.Generator().manual_seed(seed)
         self.policy = Policy.from_config(shapes, own, generator=initial, device=device)
-        self.ddpg = DDPG(self.policy, shapes, own, generator=initial, device=device)
+        self.ddpg = DDPG(self.policy, shapes, own, generator=initial, device=device, peers=peers)
         self.generator = torch.Generator(device).manual_seed(seed)
         self._touched: deque[bool] = deque(maxlen=TOUCH_WINDOW)
         self.rests = False

@@ -16,6 +16,7 @@ from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.critics import Critics
 from iher_robot.learning.flat import Flat
 from iher_robot.learning.goal_model import Shapes
+from iher_robot.learning.peers import ALONE, Peers
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import Transitions
 
@@ -74,6 +75,7 @@ class DDPG:
         generator: Draws the critics' initial weights and the subsets of target critics, on the
             CPU.
         device: Where the networks compute.
+        peers: Learners with which it shares every batch.
     """
 
     def __init__(
@@ -84,8 +86,10 @@ class DDPG:
         *,
         generator: torch.Generator,
         device: torch.device,
+        peers: Peers = ALONE,
     ) -> None:
         self.policy = policy
+        self._peers = peers
         self.config = config
         bounds = torch.tensor(target_bounds(config), device=device)
         self._low, self._high = bounds[:, :1], bounds[:, 1:]  # (components, 1)
@@ -103,7 +107,8 @@ class DDPG:
         self._mean_actor = copy.deepcopy(policy.actor)
         self._target_critics = copy.deepcopy(self.critics)
         self._flat = {name: Flat(module) for name, module in self._modules().items()}
-        graphs = config.cuda_graphs and device.type == "cuda"
+        # What other processes take part in is not recorded.
+        graphs = config.cuda_graphs and device.type == "cuda" and peers.count == 1
         self._captured = Captured() if graphs else None
         self._optimizers = {
             name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True, capturable=graphs)
@@ -175,19 +180,28 @@ class DDPG:
         """Take gradient steps of the critics, and of the actor whenever it is its turn.
 
         Args:
-            block: Transitions, as many for each step, one step's behind the other's.
+            block: Transitions, as many for each step, one step's behind the other's; the same for
+                all peers, of which each computes on its share.
             count: Steps.
 
         Returns:
             Values of each step, and of the actor's steps; tensors, so that a GPU need not wait.
             ``(steps,)``
         """
-        steps, phase = self._steps(block, count), self._phase
+        steps, phase = self._steps(block.share(count, self._peers), count), self._phase
         self._phase = (phase + count) % self.config.ddpg.actor_period
         if self._captured is None or steps.members is not None:
-            return self._take(steps, phase)
+            return self._averaged(self._take(steps, phase))
         tensors = (steps.features, steps.action, steps.next_features, steps.reward)
         return self._captured.run((count, phase), tensors, partial(self._take_captured, phase))
+
+    def _averaged(self, report: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        if self._peers.count == 1:
+            return report
+        values = torch.cat(list(report.values()))
+        self._peers.average(values)
+        parts = values.split([len(each) for each in report.values()])
+        return dict(zip(report, parts, strict=True))
 
     def _take_captured(self, phase: int, tensors: Tensors) -> dict[str, torch.Tensor]:
         features, action, next_features, reward = tensors
@@ -234,6 +248,7 @@ class DDPG:
     def _descend(self, name: str, loss: torch.Tensor) -> None:
         self._flat[name].clear_gradients()
         self._flat[name].add_gradients(loss)
+        self._flat[name].average_gradients(self._peers)
         self._optimizers[name].step()
 
     def end_cycle(self) -> None:

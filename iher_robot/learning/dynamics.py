@@ -15,6 +15,7 @@ from iher_robot.learning.flat import Flat
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.networks import forward, in_blocks, mlp
 from iher_robot.learning.normalizer import FittedNormalizer
+from iher_robot.learning.peers import ALONE, Peers, own_rows
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, choose_maps
 
@@ -50,6 +51,7 @@ class DynamicsEnsemble:
         device: Where the models compute.
         symmetry: Maps whose images of the real transitions are learned from; None for none.
         products: Type of the matrix products between hidden layers.
+        peers: Learners with which it shares every batch.
     """
 
     def __init__(
@@ -61,8 +63,10 @@ class DynamicsEnsemble:
         device: torch.device,
         symmetry: Symmetry | None = None,
         products: torch.dtype = torch.float32,
+        peers: Peers = ALONE,
     ) -> None:
         self.config = config
+        self._peers = peers
         self._seen = torch.ones(shapes.obs_dim + shapes.action_dim, device=device)
         if config.inputs == "relative":
             self._seen[list(shapes.shifted_entries)] = 0.0
@@ -120,7 +124,10 @@ class DynamicsEnsemble:
         for _ in range(steps):
             # Rows of each member's own: those that learn from the same would hardly disagree.
             episode, tick = real.draw(members * batch_size, generator, weights)
-            observation, action, following = self._steps(real, episode, tick, generator)
+            observation, action, following = (
+                own_rows(each, members, self._peers)
+                for each in self._steps(real, episode, tick, generator)
+            )
             target = self.delta_normalizer.normalize(following - observation)
             inputs = self._inputs(observation, action)
             loss.zero_()
@@ -131,7 +138,9 @@ class DynamicsEnsemble:
                 squared = (self._forward(member, rows) - wanted).square()
                 self._flat.add_gradients(squared.sum(-1).mean())
                 loss += squared.detach().mean()
+            self._flat.average_gradients(self._peers)
             self._optimizer.step()
+        self._peers.average(loss)
         mean_loss = float(loss) / members
         if not math.isfinite(mean_loss):
             raise FloatingPointError(f"the dynamics models' error is {mean_loss}: {DIVERGED}")

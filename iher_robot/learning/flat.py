@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import nn
 
+from iher_robot.learning.peers import Peers
+
 ALIGNMENT = 16
 """Each parameter begins at a multiple of so many numbers: a line of the processor's cache."""
 
@@ -53,3 +55,8 @@ class Flat:
     def add_gradients(self, loss: torch.Tensor) -> None:
         """Add the gradients of a loss; those of other modules are left alone."""
         loss.backward(inputs=self.parameters)
+
+    def average_gradients(self, peers: Peers) -> None:
+        """Replace the gradients by the mean of all learners'."""
+        assert self.values.grad is not None
+        peers.average(self.values.grad)

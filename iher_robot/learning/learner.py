@@ -19,11 +19,22 @@ from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
 from iher_robot.learning.imaginary_source import ImaginarySource, Progress
 from iher_robot.learning.intrinsic import refresh_intrinsic
 from iher_robot.learning.meter import Meter
+from iher_robot.learning.peers import ALONE, Peers, require_equal_shares
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import BLOCK, EpisodeReplay, Transitions
 from iher_robot.learning.symmetry import Symmetry, augment
 
 DYNAMICS_CHUNK = 25
+
+
+def _require_equal_shares(config: LearnerConfig, peers: Peers) -> None:
+    sections = ["ddpg", "dynamics"] if config.imagination.enabled else ["ddpg"]
+    for section in sections:
+        require_equal_shares(
+            f"learner.schedule.workers x learner.{section}.batch_size",
+            config.schedule.workers * getattr(config, section).batch_size,
+            peers,
+        )
 
 
 def silent(phase: str, done: int, total: int) -> None:
@@ -44,9 +55,12 @@ class Learner:
         device: Where replay, models and policy live.
         symmetry: Maps that leave the task unchanged, for ``config.symmetry``.
         contact_model: Where effector and object are, for ``config.contact``.
+        peers: Learners of the same settings, seed and real episodes, in other processes; each
+            computes on its share of every batch, and all of them stay the same.
 
     Raises:
-        ValueError: A setting asks for what the task does not declare.
+        ValueError: A setting asks for what the task does not declare, or for batches of which the
+            peers cannot have equal shares.
     """
 
     def __init__(
@@ -59,6 +73,7 @@ class Learner:
         device: torch.device,
         symmetry: Symmetry | None = None,
         contact_model: ContactModel | None = None,
+        peers: Peers = ALONE,
     ) -> None:
         self.shapes = shapes
         self.goal_model = goal_model
@@ -81,9 +96,10 @@ class Learner:
             raise ValueError(
                 "learner.contact.enabled is true, but the task declares no object; set it to false"
             )
+        _require_equal_shares(config, peers)
         initial = torch.Generator().manual_seed(seed)
         self.policy = Policy.from_config(shapes, config, generator=initial, device=device)
-        self.ddpg = DDPG(self.policy, shapes, config, generator=initial, device=device)
+        self.ddpg = DDPG(self.policy, shapes, config, generator=initial, device=device, peers=peers)
         self.ensemble = DynamicsEnsemble(
             shapes,
             config.dynamics,
@@ -91,6 +107,7 @@ class Learner:
             device=device,
             symmetry=self.symmetry,
             products=self.policy.products,
+            peers=peers,
         )
         self.generator = torch.Generator(device).manual_seed(seed)
         self.real = self._real_replay(config.replay.capacity)
@@ -105,7 +122,9 @@ class Learner:
         )
         self.contact: ContactLearner | None = None
         if config.contact.enabled and contact_model is not None:
-            self.contact = ContactLearner(shapes, contact_model, config, seed=seed, device=device)
+            self.contact = ContactLearner(
+                shapes, contact_model, config, seed=seed, device=device, peers=peers
+            )
         self.epoch = 0
         self.cycle = 0
         self.updates = 0

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.goal_model import GoalModel, Shapes
+from iher_robot.learning.peers import Peers, own_rows
 
 BLOCK = 40
 """Updates whose batches are drawn together: it costs little more than to draw one."""
@@ -66,6 +67,18 @@ class Transitions:
         fields = Transitions.__dataclass_fields__
         chunks = zip(*(getattr(self, f).chunk(count) for f in fields), strict=True)
         return [Transitions(*chunk) for chunk in chunks]
+
+    def share(self, count: int, peers: Peers) -> Transitions:
+        """The equal share of each batch that one of several learners computes on.
+
+        Args:
+            count: Batches, one behind the other.
+            peers: The learners.
+        """
+        if peers.count == 1:
+            return self
+        fields = Transitions.__dataclass_fields__
+        return Transitions(**{f: own_rows(getattr(self, f), count, peers) for f in fields})
 
 
 class EpisodeReplay:
