@@ -241,8 +241,9 @@ def test_a_policy_does_the_same_on_the_driver_and_in_the_official_environment(
         EPOCH_MINUTES,
         "learner.schedule.cycles=10",
         "learner.schedule.batches=40",
+        robot="fetch-mocap",  # whose physics is the official one
     )
-    ours = evaluate(result.policy, episodes=20)
+    ours = evaluate(result.policy, episodes=20, robot="fetch-mocap")
     official = evaluate(result.policy, episodes=20, official=True)
     assert ours.successes == official.successes
     assert 0 < ours.successes < 20  # else the comparison shows nothing
