@@ -23,7 +23,7 @@ class Precision:
     name: str
     matmul: str
     products: torch.dtype
-    overrides: tuple[str, ...] = ()
+    overrides: tuple[str, ...]
 
     @contextmanager
     def on_this_process(self) -> Iterator[None]:
@@ -48,9 +48,9 @@ class Precision:
 PRECISIONS = {
     each.name: each
     for each in (
-        Precision("fp32", "highest", torch.float32),
+        Precision("fp32", "highest", torch.float32, ("learner.matmul_precision=highest",)),
         # Leave for less: bfloat16 inside where the CPU has units for it, TF32 on a GPU.
-        Precision("medium", "medium", torch.float32),
+        Precision("medium", "medium", torch.float32, ("learner.matmul_precision=medium",)),
         Precision("bf16", "highest", torch.bfloat16, ("learner.matmul_precision=bfloat16",)),
     )
 }
