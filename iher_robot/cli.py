@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Sequence
 from typing import Annotated, NoReturn
 
 import typer
@@ -24,6 +20,7 @@ from iher_robot.cli_operate import clear_fault, doctor, home, stop
 from iher_robot.cli_serve import serve
 from iher_robot.cli_train import train
 from iher_robot.cli_view import view
+from iher_robot.termination import Terminated, sigterm_as_interrupt
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -35,10 +32,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived: whatever a Ctrl-C settles, holds and disarms, this does too."""
 
 
 def _print_version(asked: bool) -> None:
@@ -67,27 +60,6 @@ app.add_typer(data)
 app.add_typer(budget)
 
 
-@contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM unwind the program as Ctrl-C does, instead of ending it on the spot."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set handlers
-        return
-
-    def terminate(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001
-        # A second one must not cut short what settles the ledger and disarms the robot.
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        # Where it is ignored the process is about to exit, and with a code of its own.
-        if signal.getsignal(signal.SIGTERM) is terminate:
-            signal.signal(signal.SIGTERM, before)
-
-
 def _fail(sentence: str, exit_code: int) -> NoReturn:
     typer.echo(f"iher-robot: {sentence}", err=True)
     sys.exit(exit_code)
@@ -108,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     try:
-        with _sigterm_as_interrupt():
+        with sigterm_as_interrupt():
             code = app(args=words, prog_name="iher-robot", standalone_mode=False)
     except typer.TyperException as error:
         _fail(f"{error.format_message()} (see iher-robot --help)", BAD_INPUT)

@@ -18,6 +18,7 @@ from iher_robot.learning.explorer import Explorer
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.policy import Policy
 from iher_robot.stored_episode import RecordedTick, make_episode
+from iher_robot.termination import end_if_terminated
 
 Array = NDArray[np.floating]
 
@@ -82,7 +83,9 @@ class Recorder:
 
         Raises:
             EpisodeAborted: The robot cannot go on; the tick is charged nevertheless.
+            Terminated: The program was told to end, and goes on all the same.
         """
+        end_if_terminated()
         self._charge(1)
         try:
             observation, _, _, _, info = env.step(action)

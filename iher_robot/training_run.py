@@ -36,6 +36,7 @@ from iher_robot.robot_episodes import RobotEpisodes
 from iher_robot.run_directory import RunDirectory
 from iher_robot.run_learner import LearnerInTurn, RunLearner
 from iher_robot.simulated_episodes import SimulatedEpisodes
+from iher_robot.termination import end_if_terminated
 from iher_robot.trained_policy import trained_policy
 from iher_robot.workcell import CPU, Workcell
 
@@ -190,6 +191,7 @@ class TrainingRun:
         epoch = self.pending.pop() if self.pending else CollectedEpoch(number)
         wanted = self.config.learner.schedule.real_episodes
         while len(epoch.episodes) < wanted and not self._spent:
+            end_if_terminated()
             self.display.phase("collect", len(epoch.episodes), wanted)
             self.learning.look()
             for outcome in self._run_next(epoch.number, wanted - len(epoch.episodes)):
@@ -283,6 +285,7 @@ class TrainingRun:
             yield recorder
 
     def _phase(self, name: str, done: int, total: int) -> None:
+        end_if_terminated()
         self.episodes.still_idle()
         self.display.phase(name, done, total)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from iher_robot.learning.policy import Policy
 from iher_robot.ledger import Ledger
 from iher_robot.policy_file import PolicyFile, save_policy
 from iher_robot.video import film
+from tests.small_runs import TINY
 
 ROOT = Path(iher_robot.__file__).resolve().parent.parent
 Run = Callable[..., "Outcome"]
@@ -284,11 +286,21 @@ from iher_robot.env import GoalRobotEnv
 
 step, steps = GoalRobotEnv.step, 0
 
+class Finalizer:
+    def __del__(self):  # what is raised here goes no further
+        os.kill(os.getpid(), signal.SIGTERM)
+
+def terminate():
+    if "IN_A_FINALIZER" in os.environ:
+        Finalizer()
+    else:
+        os.kill(os.getpid(), signal.SIGTERM)
+
 def counted(self, action):
     global steps
     steps += 1
     if steps == 131:
-        os.kill(os.getpid(), signal.SIGTERM)
+        terminate()
     return step(self, action)
 
 GoalRobotEnv.step = counted
@@ -296,24 +308,24 @@ main()
 """
 
 
-def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "iher_robot", "train", "--quiet", "--device", "cpu"]
-    settings = (
-        "learner.schedule.cycles=1 learner.schedule.batches=1 learner.schedule.dynamics_steps=1 "
-        "learner.schedule.policy_copy_cycles=1 evaluation.episodes=1 "
-        "evaluation.final_episodes=1"
-    ).split()
-    words = [word for setting in settings for word in ("--set", setting)]
-    words += "--task reach --budget-minutes 0.2 --set learner.schedule.real_rollouts=6".split()
-    words += ["--out", str(out)]
-    stopped = subprocess.run(
-        [sys.executable, "-c", SIGTERM_IN_STEP_131, *command[3:], *words],
+def terminated_train(out: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    words = [word for setting in TINY for word in ("--set", setting)]
+    words += "--task reach --preset paper --budget-minutes 0.2".split()
+    words += "--set learner.schedule.real_rollouts=6".split()
+    words += ["--out", str(out), "--quiet", "--device", "cpu"]
+    return subprocess.run(
+        [sys.executable, "-c", SIGTERM_IN_STEP_131, "train", *words],
         check=False,
         capture_output=True,
         text=True,
         cwd=ROOT,
+        env=os.environ | environment,
     )
+
+
+def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    stopped = terminated_train(out)
 
     assert stopped.returncode == 143
     assert stopped.stderr.startswith("iher-robot: interrupted; ")
@@ -322,9 +334,22 @@ def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -
     # The tick in flight is charged, though nothing of it could be stored.
     assert ticks(out) == (131, 130)
 
-    resumed = [*command[:5], "--resume", str(out)]
+    resumed = [sys.executable, "-m", "iher_robot", "train", "--quiet", "--resume", str(out)]
     subprocess.run(resumed, cwd=ROOT, check=True, capture_output=True)
     assert ticks(out)[0] == 300
+
+
+def test_sigterm_ends_a_run_wherever_it_is_raised(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    stopped = terminated_train(out, IN_A_FINALIZER="1")
+
+    assert "Exception ignored in: <function Finalizer.__del__" in stopped.stderr
+    assert stopped.returncode == 143
+    assert f"iher-robot: interrupted; continue with: iher-robot train --resume {out}" in (
+        stopped.stderr
+    )
+    # The tick is whole, and no other follows.
+    assert ticks(out) == (131, 131)
 
 
 def ticks(out: Path) -> tuple[int, int]:
