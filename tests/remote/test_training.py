@@ -18,7 +18,8 @@ def _train(served: ServedRobot, out: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "iher_robot", "train", "--driver", "zenoh", "--task", "reach"]
     command += ["--connect", served.endpoint, "--budget-minutes", str(BUDGET_MINUTES)]
     command += ["--until-success", "off", "--out", str(out), "--quiet"]
-    command += ["--set", "evaluation.robot_episodes=1"]
+    for setting in ("evaluation.robot_episodes=1", "learner.schedule.updates_per_step=1"):
+        command += ["--set", setting]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
