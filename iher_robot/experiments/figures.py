@@ -134,20 +134,20 @@ def _draw_dots(axes: Axes, place: int, method: Method, rate: float, color: str) 
     found = method.minutes_to(rate)
     # Seeds that reached it at the same evaluation would hide each other.
     rises = np.linspace(-0.16, 0.16, len(found.seeds)) if len(found.seeds) > 1 else [0.0]
-    for minutes, seen, rise in zip(found.seeds, found.seen, rises, strict=True):
-        if math.isfinite(minutes):
-            axes.plot(minutes, place + rise, "o", color=color, markersize=5, alpha=0.8, zorder=3)
+    for seed, rise in zip(found.seeds, rises, strict=True):
+        if math.isfinite(seed.by):
+            axes.plot(seed.by, place + rise, "o", color=color, markersize=5, alpha=0.8, zorder=3)
         else:
             axes.plot(
-                *(seen, place + rise),
+                *(seed.after, place + rise),
                 ">",
                 color=color,
                 markersize=6,
                 markerfacecolor="none",
                 zorder=3,
             )
-    if math.isfinite(found.median):
-        axes.plot(found.median, place, "|", color=color, markersize=18, mew=2.4, zorder=4)
+    if found.known:
+        axes.plot(found.latest, place, "|", color=color, markersize=18, mew=2.4, zorder=4)
 
 
 def _dress(axes: Axes) -> None:

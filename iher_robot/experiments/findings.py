@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from iher_robot.experiments.crossing import MinutesTo, Ratio, ratio
 from iher_robot.experiments.numbers import (
     Curve,
     Estimate,
-    MinutesTo,
     Run,
     estimate,
-    minutes_to,
-    ratio,
     runs_of,
     success_curve,
 )
@@ -56,7 +54,7 @@ class Method:
 
     def minutes_to(self, rate: float) -> MinutesTo:
         """Robot minutes to a success rate."""
-        return minutes_to(self.runs, rate)
+        return MinutesTo.of(self.runs, rate)
 
     @property
     def last_rates(self) -> tuple[float, ...]:
@@ -68,9 +66,20 @@ class Method:
         return estimate(self.last_rates, kind=kind)
 
     @property
-    def robot_minutes(self) -> float:
-        """Median of the robot minutes of the last evaluation."""
-        return statistics.median(run.seen_minutes for run in self.runs)
+    def finished(self) -> int:
+        """How many runs have finished."""
+        return sum(run.ended for run in self.runs)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of its runs have finished."""
+        return bool(self.runs) and self.finished == len(self.runs) and not self.missing
+
+    @property
+    def robot_minutes(self) -> tuple[float, float]:
+        """The least and the most robot minutes of the last evaluation."""
+        seen = [run.seen_minutes for run in self.runs]
+        return min(seen), max(seen)
 
     @property
     def wall_seconds(self) -> float:
@@ -85,12 +94,14 @@ class Overall:
     Attributes:
         label: The method.
         seeds: Seeds of each task.
+        robot_minutes: The least and the most robot minutes of the last evaluation.
         iqm: Interquartile mean over seeds and tasks.
         mean: Mean over seeds and tasks.
     """
 
     label: str
     seeds: int
+    robot_minutes: tuple[float, float]
     iqm: Estimate
     mean: Estimate
 
@@ -130,23 +141,26 @@ def find_methods(evaluations: Any, runs: Any) -> dict[str, list[Method]]:
     return found
 
 
-def ratio_to_baseline(
-    method: Method, others: Iterable[Method], rate: float
-) -> tuple[str, float] | None:
-    """How many times as many robot minutes the algorithm ``her`` needs, see `numbers.ratio`."""
+def baseline_of(method: Method, others: Iterable[Method]) -> Method | None:
+    """The method with algorithm ``her`` that one is compared with; of several the most alike."""
     candidates = [other for other in others if other.algo == _BASELINE and other.runs]
-    if not candidates or not method.runs:
-        return None
-    # Of several the one that is most alike.
-    nearest = max(
+    return max(
         candidates,
         key=lambda other: sum(a == b for a, b in zip(other.key, method.key, strict=True)),
+        default=None,
     )
-    return None if nearest is method else ratio(nearest.minutes_to(rate), method.minutes_to(rate))
+
+
+def ratio_to_baseline(method: Method, others: Iterable[Method], rate: float) -> Ratio | None:
+    """How many times as many robot minutes the baseline needs, see `crossing.ratio`."""
+    baseline = baseline_of(method, others)
+    if baseline is None or baseline is method or not method.runs:
+        return None
+    return ratio(baseline.minutes_to(rate), method.minutes_to(rate))
 
 
 def over_tasks(methods: Mapping[str, Sequence[Method]]) -> list[Overall]:
-    """Sum up methods that were run on every task with the same number of seeds."""
+    """Sum up methods all of whose runs have finished, on every task with as many seeds."""
     if len(methods) < 2:
         return []
     by_label = {
@@ -156,10 +170,12 @@ def over_tasks(methods: Mapping[str, Sequence[Method]]) -> list[Overall]:
     found = []
     for label, group in by_label.items():
         counts = {len(method.runs) for method in group}
-        if len(group) == len(methods) and len(counts) == 1 and 0 not in counts:
+        whole = all(method.whole for method in group)
+        if len(group) == len(methods) and len(counts) == 1 and whole:
             rates = [method.last_rates for method in group]
+            ends = [minutes for method in group for minutes in method.robot_minutes]
             iqm, mean = estimate(*rates, kind="iqm"), estimate(*rates, kind="mean")
-            found.append(Overall(label, counts.pop(), iqm, mean))
+            found.append(Overall(label, counts.pop(), (min(ends), max(ends)), iqm, mean))
     return found
 
 

@@ -1,9 +1,8 @@
-"""Numbers of an experiment: curves with intervals, and robot minutes to a success rate."""
+"""Numbers of an experiment: what runs measured, and curves and rates with intervals."""
 
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,8 @@ Scores = NDArray[np.float64]
 
 REPETITIONS = 2000
 CONFIDENCE = 0.95
+LEAST_TRIMMED = 4
+"""Scores from which on the interquartile mean is another number than the mean."""
 _SEED = 0
 
 
@@ -27,7 +28,9 @@ class Run:
         seed: Its seed.
         minutes: Robot minutes of its evaluations. ``(evaluations,)``
         success: Their success rates. ``(evaluations,)``
+        episodes: Episodes of an evaluation.
         ended: Whether it has finished, so that its last rate stands for what follows.
+        until_success: Rate at which it stops, None where it spends its whole budget.
         wall_seconds: Wall-clock time of its training. s
         final: Successes and episodes of its final policy, if that was measured.
     """
@@ -35,19 +38,21 @@ class Run:
     seed: int
     minutes: Scores
     success: Scores
+    episodes: int
     ended: bool
+    until_success: float | None
     wall_seconds: float
     final: tuple[int, int] | None
-
-    def minutes_to(self, rate: float) -> float:
-        """Robot minutes of the first evaluation with that rate; infinite if there is none."""
-        reached = np.flatnonzero(self.success >= rate)
-        return float(self.minutes[reached[0]]) if reached.size else math.inf
 
     @property
     def seen_minutes(self) -> float:
         """Robot minutes of the last evaluation; how far a rate that was not reached was sought."""
         return float(self.minutes[-1]) if self.minutes.size else 0.0
+
+    @property
+    def spacing_minutes(self) -> float:
+        """Robot minutes from one evaluation to the next, as a rule."""
+        return float(np.median(np.diff(self.minutes, prepend=0.0)))
 
 
 @dataclass(frozen=True)
@@ -82,62 +87,11 @@ class Curve:
     high: Scores
 
 
-@dataclass(frozen=True)
-class MinutesTo:
-    """Robot minutes to a success rate.
-
-    Attributes:
-        seeds: Of each seed, infinite where it was not reached.
-        seen: How far each was looked at.
-        median: The median, infinite where less than half of the seeds reached it.
-    """
-
-    seeds: tuple[float, ...]
-    seen: tuple[float, ...]
-
-    @property
-    def median(self) -> float:
-        """The median; a seed that did not reach the rate is later than all that did."""
-        return statistics.median(self.seeds)
-
-    @property
-    def censored_at(self) -> float:
-        """The least that the median can be where it is not known: how far seeds were looked at."""
-        return statistics.median(
-            seen if math.isinf(minutes) else minutes
-            for minutes, seen in zip(self.seeds, self.seen, strict=True)
-        )
-
-
-def minutes_to(runs: Sequence[Run], rate: float) -> MinutesTo:
-    """Robot minutes to a success rate, of each run."""
-    return MinutesTo(
-        tuple(run.minutes_to(rate) for run in runs), tuple(run.seen_minutes for run in runs)
-    )
-
-
-def ratio(baseline: MinutesTo, other: MinutesTo) -> tuple[str, float] | None:
-    """How many times as many minutes the baseline needs.
-
-    Returns:
-        ``"="``, ``">"`` or ``"<"`` and the ratio of the medians, or the bound of it where one of
-        the two is not known; None where that does not tell which of them is faster.
-    """
-    known, known_other = math.isfinite(baseline.median), math.isfinite(other.median)
-    if known and known_other:
-        return "=", baseline.median / other.median
-    if known_other and baseline.censored_at > other.median:
-        return ">", baseline.censored_at / other.median
-    if known and other.censored_at > baseline.median:
-        return "<", baseline.median / other.censored_at
-    return None
-
-
 def success_curve(runs: Sequence[Run]) -> Curve:
     """Success over robot minutes, at every evaluation that all runs have come to.
 
-    Between two evaluations the earlier one counts. A run that stopped because it succeeded keeps
-    its last rate; one that goes on ends the curve. Whole runs are drawn for the intervals.
+    Between two evaluations the earlier one counts. A run that has finished keeps its last rate; one
+    that goes on ends the curve. Whole runs are drawn for the intervals.
     """
     runs = [run for run in runs if run.minutes.size]
     if not runs:
@@ -216,11 +170,14 @@ def runs_of(evaluations: Any, runs: Any) -> Mapping[str, Run]:
         mine = evaluations[evaluations["cell"] == row["cell"]].sort_values("robot_minutes")
         measured = row["final_episodes"]
         known = isinstance(measured, int) and measured > 0
+        until = row["until_success"]
         found[row["cell"]] = Run(
             seed=int(row["seed"]),
             minutes=mine["robot_minutes"].to_numpy(dtype=np.float64),
             success=mine["success"].to_numpy(dtype=np.float64),
+            episodes=int(mine["evaluation_episodes"].iloc[-1]) if len(mine) else 0,
             ended=row["state"] == "finished",
+            until_success=float(until) if isinstance(until, float) else None,
             wall_seconds=float(row["wall_seconds"]) if row["epochs"] else 0.0,
             final=(int(row["final_successes"]), int(measured)) if known else None,
         )

@@ -4,41 +4,66 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable
 
-from iher_robot.experiments.numbers import Estimate, MinutesTo
+from iher_robot.experiments.crossing import MinutesTo, Ratio
+from iher_robot.experiments.numbers import Estimate
 
 UNKNOWN = "-"
+_MARKUP = re.compile(r"[\\`*\[\]<>|~&]|(?<!\w)_|_(?!\w)")
 
 
 def minutes(value: float) -> str:
     """Robot minutes with the digits that count."""
-    if value >= 100:
-        return f"{value:.0f}"
-    return f"{value:.{1 if value >= 1.0 else 2}f}"
+    return f"{value:.{_decimals(value)}f}"
+
+
+def span(ends: tuple[float, float]) -> str:
+    """Robot minutes from the least to the most, or one number where they read alike."""
+    return " to ".join(dict.fromkeys(map(minutes, ends)))
 
 
 def minutes_to(found: MinutesTo) -> str:
     """Median, and each seed's."""
     each = [
-        _not_in(seen) if math.isinf(value) else minutes(value)
-        for value, seen in zip(found.seeds, found.seen, strict=True)
+        _not_in(seed.after) if math.isinf(seed.by) else minutes(seed.by) for seed in found.seeds
     ]
-    median = _not_in(found.censored_at) if math.isinf(found.median) else minutes(found.median)
+    if math.isinf(found.latest):
+        median = _not_in(found.earliest)
+    else:
+        median = span((found.earliest, found.latest))
     return f"**{median}**" + (f" ({', '.join(each)})" if len(each) > 1 else "")
 
 
 def _not_in(seen: float) -> str:
-    return f"not in {minutes(seen)}"
+    return f"not in {_rounded(seen, _decimals(seen), math.floor)}"
 
 
-def ratio(found: tuple[str, float] | None) -> str:
-    """A ratio, or the bound that is known of it."""
+def _decimals(value: float) -> int:
+    return 0 if value >= 100.0 else 1 if value >= 1.0 else 2
+
+
+def ratio(found: Ratio | None) -> str:
+    """A ratio with what evaluations leave open of it, or a bound; bounds are rounded outwards."""
     if found is None:
         return UNKNOWN
-    sign, value = found
-    digits = f"{value:.0f}" if value >= 20 else f"{value:.2g}"
-    return digits if sign == "=" else f"{sign} {digits}"
+    low = _rounded(found.low, _digits(found.low), math.floor) if found.low > 0.0 else ""
+    high = _rounded(found.high, _digits(found.high), math.ceil) if math.isfinite(found.high) else ""
+    bounds = f"{low} to {high}" if low and high else f"> {low}" if low else f"< {high}"
+    if found.value is None:
+        return bounds
+    return f"{_rounded(found.value, _digits(found.value), round)} ({bounds})"
+
+
+def _digits(value: float) -> int:
+    """Decimals that leave a ratio two digits."""
+    return max(0, 1 - math.floor(math.log10(value)))
+
+
+def _rounded(value: float, decimals: int, how: Callable[[float], float]) -> str:
+    # What is a hair off for being a float is not rounded away from it.
+    return f"{how(round(value * 10**decimals, 6)) / 10**decimals:.{decimals}f}"
 
 
 def percent(value: float) -> str:
@@ -63,11 +88,15 @@ def duration(seconds: float) -> str:
     return str(datetime.timedelta(seconds=round(seconds)))
 
 
-def in_table(text: object) -> str:
-    """Text that does not end a cell of a Markdown table."""
-    return str(text).replace("|", "\\|").replace("\n", " ")
+def plain(text: object) -> str:
+    """Text that Markdown takes for nothing but text, also in a table."""
+    return _MARKUP.sub(r"\\\g<0>", " ".join(str(text).split()))
 
 
 def as_code(text: str) -> str:
     """Code in a cell of a Markdown table."""
-    return f"`{in_table(text)}`" if text else ""
+    text = " ".join(text.split()).replace("|", "\\|")
+    longest = max(map(len, re.findall("`+", text)), default=0)
+    fence = "`" * (longest + 1)
+    padding = " " * (longest > 0)
+    return f"{fence}{padding}{text}{padding}{fence}" if text else ""

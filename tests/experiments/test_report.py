@@ -58,10 +58,14 @@ def make_cell(
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ExperimentFolder:
+    return make_folder(tmp_path, description="Of | two.")
+
+
+def make_folder(tmp_path: Path, description: str) -> ExperimentFolder:
     path = tmp_path / "m.yaml"
     grid = {"algos": ["her", "iher"], "presets": ["default"], "budgets": [4], "seeds": [0, 1, 2]}
     manifest = read_manifest(
-        write_manifest(path, grid, title="What is <b>it</b>?", description="Of | two.")
+        write_manifest(path, grid, title="What is <b>it</b>?", description=description)
     )
     made = ExperimentFolder(tmp_path / "out")
     with made.hold():
@@ -94,18 +98,22 @@ def test_the_numbers_of_a_report(folder: ExperimentFolder) -> None:
     head, _, her, iher = rows_of(text, "method")
     assert dict(zip(head, her, strict=True)) == {
         "method": "her",
-        "seeds": "2",
+        "seeds": "2 of 3 finished",
         "min to 50 %": "**not in 3.5** (not in 4.0, 3.0)",
         "min to 90 %": "**not in 4.0** (not in 4.0, 4.0)",
         "HER's min / its, to 90 %": "-",
         "last evaluation, IQM": "68 % (40 to 95)",
-        "mean": "68 % (40 to 95)",
+        "mean": "",
         "each seed, %": "40, 95",
         "final policy, fresh episodes": "90 of 100, 90 of 100",
-        "robot min": "4.0",
+        "robot min": "4.0, or at 100 %",
+        "evaluated every": "1.0 min, 50 episodes",
         "wall clock": "0:00:00",
     }
-    assert iher[:5] == ["iher", "2", "**2.0** (2.0, 2.0)", "**2.5** (3.0, 2.0)", "> 1.6"]
+    assert iher[:5] == [
+        *("iher", "2 of 3 finished", "**2.0** (2.0, 2.0)", "**2.5** (3.0, 2.0)", "> 1.4")
+    ]
+    assert "HER is `her` as published: her." in text
     assert "**4 of 6 runs have finished;**" in text
     assert "No evaluation yet: reach-her-default-seed2, reach-iher-default-seed2." in text
     assert "iher-robot experiment m.yaml" in text
@@ -158,6 +166,21 @@ def test_the_page_stands_alone_and_escapes_what_it_shows(folder: ExperimentFolde
     assert len(pictures) == 2 == page.count("<img")
     assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
     assert "http" not in page
+
+
+def test_a_picture_that_the_report_did_not_make_is_text(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("a secret")
+    made = make_folder(
+        tmp_path, description=f"![one]({secret}) ![two](http://example.com/a.png) *three*"
+    )
+
+    page = report(made.path).html.read_text()
+
+    assert "one two <em>three</em>" in page
+    assert base64.b64encode(b"a secret").decode() not in page
+    assert "http" not in page
+    assert page.count("<img") == 2
 
 
 def test_no_experiment(tmp_path: Path, folder: ExperimentFolder) -> None:
