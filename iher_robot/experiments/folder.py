@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from iher_robot.config import read_config
+from iher_robot.config import RunConfig, read_config
 from iher_robot.durable_file import read_file, write_atomically
 from iher_robot.errors import UserError
 from iher_robot.experiments.cells import Cell, Identity
+from iher_robot.experiments.differences import differences
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.held_file import FileHeld, HeldFile, read_note
 from iher_robot.run_directory import RunDirectory
@@ -144,9 +145,9 @@ def prepare(folder: ExperimentFolder, cell: Cell) -> str:
         raise UserError(f"{run.path} is no run of this experiment: move it away")
     run.check_config()
     there = read_config(run.config_path)
-    if there != cell.config:
+    if differences(there, cell.config):
         raise UserError(
-            f"{run.path} was run with {_difference(there.model_dump(), cell.config.model_dump())}; "
+            f"{run.path} was run with {_told(there, cell.config)}; "
             "give the experiment another --out, or move that folder away"
         )
     return "interrupted" if read_result(run.result_path) is None else "finished"
@@ -173,22 +174,14 @@ def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0)
             time.sleep(0.1)
 
 
-def _difference(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    was, now = _flat(there), _flat(wanted)
-    keys = [key for key in now if was.get(key) != now[key]]
-    told = [f"{key} {was.get(key)!r}, where the manifest has {now[key]!r}" for key in keys[:3]]
-    more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
+def _told(there: RunConfig, wanted: RunConfig) -> str:
+    found = differences(there, wanted)
+    told = [
+        f"{key} {was!r}, where the manifest has {now!r}"
+        for key, (was, now) in list(found.items())[:3]
+    ]
+    more = f" and {len(found) - 3} more" if len(found) > 3 else ""
     return "; ".join(told) + more
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[prefix + key] = value
-    return found
 
 
 def tail(path: Path, lines: int = 5) -> list[str]:
