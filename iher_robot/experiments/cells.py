@@ -97,8 +97,8 @@ def expand(manifest: Manifest) -> tuple[Cell, ...]:
     """Make every cell of a manifest; nothing is written.
 
     Raises:
-        UserError: The settings of a cell are not allowed, two cells have one name, or two would
-            count as seeds of one method, though they differ in more than the seed.
+        UserError: The settings of a cell, or what a search may draw, are not allowed; two cells
+            have one name; or two would count as seeds of one method, though they differ in more.
     """
     cells: dict[str, Cell] = {}
     methods: dict[Identity, Cell] = {}
@@ -111,6 +111,11 @@ def expand(manifest: Manifest) -> tuple[Cell, ...]:
                 )
             cells[cell.name] = cell
             _require_one_method(methods.setdefault(cell.identity.method, cell), cell, manifest)
+    if manifest.search is not None:
+        for settings in manifest.search.ends():
+            for grid in manifest.grids:
+                for _ in expand_grid(grid, f"{manifest.origin}, search", settings):
+                    pass  # it is the error that is asked for
     return tuple(cells.values())
 
 
