@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from iher_robot.provenance import read_provenance
@@ -27,15 +29,19 @@ def origin_of(directory: RunDirectory) -> dict[str, Any]:
     processes = [first, *first.get("resumed", ())]
     machines = [process.get("machine", {}) for process in processes]
     versions = [process.get("versions", {}) for process in processes]
-    command = list(first.get("command", ()))
     return {
-        "command": shlex.join(["iher-robot", *command[1:]]),
+        "command": shlex.join(["iher-robot", *map(_from_here, first.get("command", ())[1:])]),
         "processes": len(processes),
         "commit": _each(processes, "commit"),
         "dirty": _any(process.get("dirty") for process in processes),
         **{name: _each(machines, name) for name in ("cpu", "cores", "system")},
         **{name.replace("-", "_"): _each(versions, name) for name in _VERSIONS},
     }
+
+
+def _from_here(word: str) -> str:
+    """A path below the working folder, from there: it lies elsewhere on another machine."""
+    return str(word).removeprefix(f"{Path.cwd()}{os.sep}")
 
 
 def _each(processes: Iterable[Mapping[str, Any]], name: str) -> str | None:

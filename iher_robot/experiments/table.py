@@ -11,7 +11,7 @@ from typing import Any
 from iher_robot.durable_file import read_file, write_atomically
 from iher_robot.errors import UserError
 from iher_robot.experiments.columns import EVALUATION_COLUMNS, RUN_COLUMNS
-from iher_robot.experiments.folder import NOT_BEGUN, ExperimentFolder
+from iher_robot.experiments.folder import NOT_BEGUN, ExperimentFolder, states_told
 from iher_robot.experiments.run_rows import Row, rows_of
 from iher_robot.experiments.table_checks import check_evaluations, check_runs, no_table
 
@@ -55,7 +55,9 @@ def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
     if not identities:
         raise UserError(f"the experiment in {folder.path} has no runs yet")
     found = {identity.name: rows_of(folder, identity) for identity in identities}
-    earlier = {} if all(found.values()) else _read_earlier(folder)
+    told = states_told(folder.runs_path)
+    gone = [name for name, rows in found.items() if rows is None and told.get(name) != NOT_BEGUN]
+    earlier = _read_earlier(folder) if gone else {}
     evaluations: list[Row] = []
     runs: list[Row] = []
     for identity in identities:

@@ -87,6 +87,16 @@ def test_rows_of_runs_that_are_gone_stay(folder: ExperimentFolder, cells: str) -
     assert len(read_table(small, runs=False)) == 2 + 3 + 1
 
 
+def test_tables_of_runs_that_are_all_there_are_made_anew(folder: ExperimentFolder) -> None:
+    write_tables(folder, folder)
+    before = content(folder)
+    folder.evaluations_path.write_text("cut off")
+
+    write_tables(folder, folder)
+
+    assert content(folder) == before
+
+
 def test_an_experiment_that_is_held_has_no_cells_yet(folder: ExperimentFolder) -> None:
     small = commit(folder)
     with small.hold():
