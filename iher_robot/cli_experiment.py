@@ -83,7 +83,7 @@ def experiment(
             display=display,
         )
     typer.echo(result.summary())
-    if result.failed or isinstance(result.report, str):
+    if not result.complete:
         raise typer.Exit(_FAILED)
 
 

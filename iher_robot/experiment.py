@@ -50,6 +50,11 @@ class ExperimentResult:
         """Cells that did not finish."""
         return tuple(outcome for outcome in self.outcomes if outcome.ending != "finished")
 
+    @property
+    def complete(self) -> bool:
+        """Whether every cell has finished and there is a report."""
+        return not self.failed and isinstance(self.report, ReportResult)
+
     def summary(self) -> str:
         """The result in a few lines."""
         total = len(self.outcomes)
