@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 from iher_robot.experiments.cells import Cell, expand
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.manifest import read_manifest
+from iher_robot.report import report
 from iher_robot.run_result import RunResult, write_result
 from tests.experiments.small import write_manifest
 from tests.run_folders import make_run
@@ -51,3 +54,18 @@ def make_experiment(path: Path) -> ExperimentFolder:
     make_cell(folder, NAMES[0], (0.1, 0.95), done=True)
     make_cell(folder, NAMES[1], (0.2, 0.3, 0.4), done=False)
     return folder
+
+
+def commit(folder: ExperimentFolder) -> ExperimentFolder:
+    """What the documentation says to keep of an experiment."""
+    report(folder.path)
+    small = ExperimentFolder(folder.path.parent / "committed")
+    small.path.mkdir()
+    for path in (folder.origin_path, folder.evaluations_path, folder.runs_path):
+        shutil.copy(path, small.path)
+    return small
+
+
+def unsealed(path: Path) -> dict[str, Any]:
+    """A sealed file, to be changed and sealed again."""
+    return {key: value for key, value in json.loads(path.read_text()).items() if key != "sha256"}
