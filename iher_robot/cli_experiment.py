@@ -67,7 +67,7 @@ def experiment(
 ) -> None:
     """Run every run of a manifest that has not finished yet, and report on all of them.
 
-    Exit code 1 if one did not finish.
+    Exit code 1 if one did not finish, or there is no report.
     """
     with told_when_interrupted(None):
         from iher_robot.experiment import experiment as run_experiment
@@ -83,7 +83,7 @@ def experiment(
             display=display,
         )
     typer.echo(result.summary())
-    if result.failed:
+    if not result.complete:
         raise typer.Exit(_FAILED)
 
 
@@ -94,7 +94,10 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder to write to, by default the same.", show_default=False
+            metavar="DIR",
+            help="Folder to write to, with all that it takes to make the report again; nothing in "
+            "the experiment's is changed then. By default the same.",
+            show_default=False,
         ),
     ] = None,
 ) -> None:

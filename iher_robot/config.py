@@ -166,9 +166,14 @@ def dump_config(config: RunConfig) -> str:
     return format_yaml(config.model_dump(mode="json"))
 
 
+def plain_identity(config: RunConfig) -> dict[str, Any]:
+    """Every setting that a run depends on, as plain values."""
+    return config.model_dump(mode="json", exclude=set(_CHANGES_NOTHING))
+
+
 def dump_identity(config: RunConfig) -> str:
     """Write every setting that a run depends on as YAML: the same for a run that may go on."""
-    return format_yaml(config.model_dump(mode="json", exclude=set(_CHANGES_NOTHING)))
+    return format_yaml(plain_identity(config))
 
 
 def change_simulators(config: RunConfig, simulators: int) -> RunConfig:

@@ -19,6 +19,7 @@ from iher_robot.experiments.cells import Cell, expand
 from iher_robot.experiments.executor import Executor, LocalExecutor
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.manifest import Manifest, read_manifest
+from iher_robot.experiments.preparing import prepare
 from iher_robot.experiments.running import Running
 from iher_robot.held_file import HeldFile
 from iher_robot.provenance import collect_provenance
@@ -48,6 +49,11 @@ class ExperimentResult:
     def failed(self) -> tuple[Outcome, ...]:
         """Cells that did not finish."""
         return tuple(outcome for outcome in self.outcomes if outcome.ending != "finished")
+
+    @property
+    def complete(self) -> bool:
+        """Whether every cell has finished and there is a report."""
+        return not self.failed and isinstance(self.report, ReportResult)
 
     def summary(self) -> str:
         """The result in a few lines."""
@@ -179,6 +185,8 @@ def _run(
     with options.make(cells, lock) as executor:
         running = Running(folder, executor, board)
         if manifest.search is None:
+            for cell in cells:  # those that are not chosen are in the report, too
+                prepare(folder, cell)
             running.prepare(chosen)
             folder.begin(manifest, provenance, [cell.identity for cell in cells])
             board.say(f"{manifest.title}: {len(chosen)} cells, {executor.title}, in {folder.path}")

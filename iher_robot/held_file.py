@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from iher_robot.sealed_json import open_line, seal_line
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _SIZE = 1024
+_LOOK_S = 0.1
 
 
 class FileHeld(UserError):
@@ -85,6 +87,46 @@ class HeldFile(Closing):
 
     def _read(self) -> Mapping[str, Any]:
         return read_note(self.path)
+
+
+def hold_patiently(
+    path: Path, in_use: str, patience_s: float, give_up: Callable[[], bool] = lambda: False
+) -> HeldFile:
+    """Hold a file, once its holder has let go of it.
+
+    Args:
+        path: The file.
+        in_use: The sentence for a user if its holder does not.
+        patience_s: How long to wait.
+        give_up: Whether nobody wants it any more.
+
+    Raises:
+        FileHeld: It is still held.
+        UserError: The file cannot be opened.
+    """
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            return HeldFile(path, in_use)
+        except FileHeld:
+            if time.monotonic() > deadline or give_up():
+                raise
+            time.sleep(_LOOK_S)
+
+
+def is_held(path: Path) -> bool:
+    """Whether a process holds a file; nothing is written, and a file that is not there is not."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def read_note(path: Path) -> Mapping[str, Any]:

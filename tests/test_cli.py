@@ -155,7 +155,7 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_experiment_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = replace(monkeypatch, "experiment", "experiment")
-    experiment.failed = ()
+    experiment.complete = True
 
     outcome = run(
         *"experiment push --out there --workers 3 --executor ray --address auto --ship".split(),
@@ -173,7 +173,7 @@ def test_experiment_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyP
         "only": ["push-*", "reach-*"],
         "display": False,
     }
-    experiment.failed = ("a cell",)
+    experiment.complete = False
     assert run("experiment", "push").code == 1
     assert experiment.kwargs["out"] is None
     assert experiment.kwargs["display"] is True

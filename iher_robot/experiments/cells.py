@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from iher_robot.chosen_robot import DEFAULT_DRIVER
 from iher_robot.config import RunConfig, load_config
 from iher_robot.errors import UserError
+from iher_robot.experiments.differences import differences
 from iher_robot.experiments.manifest import Grid, Manifest
 from tasks import TaskError, canonical_name
 
@@ -44,6 +45,11 @@ class Identity:
         budget = None if self.budget is None else f"{self.budget:g}min"
         parts = (self.task, self.algo, self.preset, self.variant, budget, f"seed{self.seed}")
         return "-".join(part for part in parts if part)
+
+    @property
+    def method(self) -> Identity:
+        """The same for all seeds of a method."""
+        return replace(self, seed=0)
 
     def as_row(self) -> dict[str, Any]:
         """Its attributes by name."""
@@ -91,9 +97,11 @@ def expand(manifest: Manifest) -> tuple[Cell, ...]:
     """Make every cell of a manifest; nothing is written.
 
     Raises:
-        UserError: The settings of a cell are not allowed, or two cells have one name.
+        UserError: The settings of a cell, or what a search may draw, are not allowed; two cells
+            have one name; or two would count as seeds of one method, though they differ in more.
     """
     cells: dict[str, Cell] = {}
+    methods: dict[Identity, Cell] = {}
     for grid in manifest.grids:
         for cell in expand_grid(grid, manifest.origin):
             if cell.name in cells:
@@ -102,7 +110,25 @@ def expand(manifest: Manifest) -> tuple[Cell, ...]:
                     "variant with another name"
                 )
             cells[cell.name] = cell
+            _require_one_method(methods.setdefault(cell.identity.method, cell), cell, manifest)
+    if manifest.search is not None:
+        for settings in manifest.search.ends():
+            for grid in manifest.grids:
+                for _ in expand_grid(grid, f"{manifest.origin}, search", settings):
+                    pass  # it is the error that is asked for
     return tuple(cells.values())
+
+
+def _require_one_method(first: Cell, cell: Cell, manifest: Manifest) -> None:
+    found = differences(first.config, cell.config)
+    found.pop("seed", None)
+    if found:
+        key, (one, other) = next(iter(found.items()))
+        raise UserError(
+            f"{manifest.origin}: {first.name} and {cell.name} would count as two seeds of one "
+            f"method, but {key} is {one!r} in the first and {other!r} in the second; give it a "
+            "variant name, under variants, in one of their grids"
+        )
 
 
 def expand_grid(

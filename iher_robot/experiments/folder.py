@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
+import csv
+import io
 import os
-import shutil
-import time
+import shlex
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from iher_robot.config import read_config
-from iher_robot.durable_file import read_file, write_atomically
+from iher_robot.durable_file import read_file
 from iher_robot.errors import UserError
-from iher_robot.experiments.cells import Cell, Identity
+from iher_robot.experiments.cells import Identity
 from iher_robot.experiments.manifest import Manifest
-from iher_robot.held_file import FileHeld, HeldFile, read_note
+from iher_robot.experiments.origin import cells_of, read_origin, write_origin
+from iher_robot.held_file import HeldFile, hold_patiently, read_note
 from iher_robot.run_directory import RunDirectory
-from iher_robot.run_result import read_result
-from iher_robot.sealed_json import open_line, seal
 
-# What a run that was ended before its settings were written leaves.
-_LEFTOVERS = {"config.yaml", ".config.yaml.tmp"}
+NOT_BEGUN = "not begun"
+"""State of a cell that has no run."""
 
 
 class ExperimentFolder:
@@ -29,10 +27,12 @@ class ExperimentFolder:
 
     Args:
         path: Its folder.
+        origin: What it is; what the file there says by default.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, origin: Mapping[str, Any] | None = None) -> None:
         self.path = path
+        self._origin = origin
         self.cells_path = path / "cells"
         self.logs_path = path / "logs"
         self.figures_path = path / "figures"
@@ -51,6 +51,14 @@ class ExperimentFolder:
         """What the processes of a cell printed."""
         return self.logs_path / f"{name}.log"
 
+    def lock(self, name: str) -> Path:
+        """Held while a process of a cell runs."""
+        return self.log(name).with_suffix(".lock")
+
+    def failure(self, name: str) -> Path:
+        """Why the last process of a cell failed, if it did."""
+        return self.log(name).with_suffix(".failed")
+
     def hold(self) -> HeldFile:
         """Make the folder and hold it for this process.
 
@@ -58,14 +66,7 @@ class ExperimentFolder:
             FileHeld: Another experiment runs there.
             UserError: The folder cannot be made.
         """
-        try:
-            for folder in (self.cells_path, self.logs_path):
-                folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f"cannot make experiment folder {self.path}: {error.strerror or error}; choose "
-                "another with --out"
-            ) from error
+        self._make()
         pid = read_note(self._lock_path).get("pid")
         who = f" (process {pid})" if pid else ""
         held = HeldFile(
@@ -75,43 +76,97 @@ class ExperimentFolder:
         held.write()
         return held
 
+    def hold_report(self, patience_s: float = 30.0) -> HeldFile:
+        """Make the folder and hold its tables and report, once nobody else writes them.
+
+        Raises:
+            FileHeld: Somebody still does.
+            UserError: The folder cannot be made.
+        """
+        self._make()
+        in_use = (
+            f"another process writes tables and report of {self.path}; wait for it, then "
+            f"iher-robot report {shlex.quote(str(self.path))}"
+        )
+        return hold_patiently(self.path / "report.lock", in_use, patience_s)
+
+    def _make(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"cannot make experiment folder {self.path}: {error.strerror or error}; choose "
+                "another with --out"
+            ) from error
+
     def read_origin(self) -> dict[str, Any]:
-        """What the experiment is; empty if nothing is known of it yet.
+        """What the experiment is, see `origin.read_origin`; empty if nothing is known of it yet.
 
         Raises:
             UserError: The file is damaged.
         """
-        path = self.origin_path
-        if not path.exists():
-            return {}
-        return open_line(read_file(path, "experiment file"), path, "experiment file")
+        return read_origin(self.origin_path) if self._origin is None else dict(self._origin)
+
+    def as_it_is_now(self, path: Path | None = None) -> ExperimentFolder:
+        """The same, with the cells that it has now, whatever is begun meanwhile.
+
+        Args:
+            path: Another folder for it; this one by default.
+        """
+        return ExperimentFolder(path or self.path, self.read_origin())
 
     def begin(
         self, manifest: Manifest, provenance: Mapping[str, Any], cells: Iterable[Identity]
     ) -> None:
-        """Keep what the experiment is, and where this process of it comes from."""
-        before = self.read_origin().get("processes", [])
-        self._write_origin(
+        """Keep what the experiment is, and where this process of it comes from.
+
+        Raises:
+            UserError: Cells have been run here that are not of this experiment.
+        """
+        before = self.read_origin()
+        cells = tuple(cells)
+        if before:
+            self._require_kept(cells_of(before), cells)
+        write_origin(
+            self.origin_path,
             {
                 "title": manifest.title,
                 "description": manifest.description,
                 "manifest": manifest.origin,
                 "search": manifest.search is not None,
-                "processes": [*before, dict(provenance)],
+                "processes": [*before.get("processes", []), dict(provenance)],
                 "cells": [identity.as_row() for identity in cells],
-            }
+            },
         )
+
+    def _require_kept(self, before: Iterable[Identity], cells: Iterable[Identity]) -> None:
+        """A report that leaves out what was run might leave out what did not please."""
+        names = {identity.name for identity in cells}
+        told = states_told(self.runs_path)
+        lost = [
+            identity.name
+            for identity in before
+            if identity.name not in names
+            and (self.has_begun(identity.name) or told.get(identity.name, NOT_BEGUN) != NOT_BEGUN)
+        ]
+        if lost:
+            more = f" and {len(lost) - 3} more" if len(lost) > 3 else ""
+            raise UserError(
+                f"{self.path} has runs that the manifest does not have any more: "
+                f"{', '.join(lost[:3])}{more}; put them back into it, or choose another --out"
+            )
+
+    def has_begun(self, name: str) -> bool:
+        """Whether the run of a cell is there."""
+        config = self.run(name).config_path
+        return config.exists() and config.stat().st_size > 0
 
     def add_cells(self, cells: Iterable[Identity]) -> None:
         """Keep that there are more cells."""
         origin = self.read_origin()
         rows = [identity.as_row() for identity in cells]
         new = [row for row in rows if row not in origin["cells"]]
-        self._write_origin(origin | {"cells": [*origin["cells"], *new]})
-
-    def _write_origin(self, origin: Mapping[str, Any]) -> None:
-        text = json.dumps(seal(origin), indent=1, allow_nan=False) + "\n"
-        write_atomically(self.origin_path, lambda file: file.write(text.encode()))
+        write_origin(self.origin_path, origin | {"cells": [*origin["cells"], *new]})
 
     def identities(self) -> tuple[Identity, ...]:
         """The cells that the experiment has begun with.
@@ -122,34 +177,16 @@ class ExperimentFolder:
         origin = self.read_origin()
         if not origin:
             raise UserError(f"there is no experiment in {self.path}: it has no experiment.json")
-        return tuple(Identity(**identity) for identity in origin["cells"])
+        return cells_of(origin)
 
 
-def prepare(folder: ExperimentFolder, cell: Cell) -> str:
-    """Look into the folder of a cell before it is run.
-
-    Returns:
-        ``"finished"``, ``"interrupted"`` or ``"new"``.
-
-    Raises:
-        UserError: A run with other settings is there, or its settings are damaged.
-    """
-    run = folder.run(cell.name)
-    if not run.path.exists():
-        return "new"
-    if not run.config_path.exists() or not run.config_path.read_bytes():
-        if {entry.name for entry in run.path.iterdir()} <= _LEFTOVERS:
-            shutil.rmtree(run.path)
-            return "new"
-        raise UserError(f"{run.path} is no run of this experiment: move it away")
-    run.check_config()
-    there = read_config(run.config_path)
-    if there != cell.config:
-        raise UserError(
-            f"{run.path} was run with {_difference(there.model_dump(), cell.config.model_dump())}; "
-            "give the experiment another --out, or move that folder away"
-        )
-    return "interrupted" if read_result(run.result_path) is None else "finished"
+def states_told(path: Path) -> dict[str, str]:
+    """State of each cell in a table of runs, empty if there is none; no extra is needed."""
+    if not path.exists():
+        return {}
+    text = read_file(path, "table of an experiment").decode(errors="replace")
+    rows = csv.DictReader(io.StringIO(text, newline=""))
+    return {str(row.get("cell")): str(row.get("state")) for row in rows}
 
 
 def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0) -> HeldFile:
@@ -163,32 +200,9 @@ def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0)
     Raises:
         FileHeld: It goes on.
     """
-    deadline = time.monotonic() + patience_s
-    while True:
-        try:
-            return HeldFile(path, f"an earlier process of {path.stem} still runs")
-        except FileHeld:
-            if time.monotonic() > deadline or give_up():
-                raise
-            time.sleep(0.1)
-
-
-def _difference(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    was, now = _flat(there), _flat(wanted)
-    keys = [key for key in now if was.get(key) != now[key]]
-    told = [f"{key} {was.get(key)!r}, where the manifest has {now[key]!r}" for key in keys[:3]]
-    more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-    return "; ".join(told) + more
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[prefix + key] = value
-    return found
+    return hold_patiently(
+        path, f"an earlier process of {path.stem} still runs", patience_s, give_up
+    )
 
 
 def tail(path: Path, lines: int = 5) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,6 +17,20 @@ from iher_robot.experiments.sections import Section, parse_section
 from iher_robot.learning.config import OR_OFF
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._]*(-[A-Za-z0-9._]+)*")
+
+# Settings that a manifest has a key of its own for, by which cells are told apart.
+_KEYS_OF_THEIR_OWN = {
+    "task": "tasks",
+    "algo": "algos",
+    "preset": "presets",
+    "budget_minutes": "budgets",
+    "seed": "seeds",
+    "driver": "driver",
+    "robot": "robot",
+    "robot_options": "robot",
+    "until_success": "until_success",
+    "device": "device",
+}
 
 
 class Grid(Section):
@@ -101,6 +115,7 @@ def read_manifest(name: str) -> Manifest:
         if len(grids) > 1:
             raise UserError(f"{layer.origin}: a search has one grid, and there are {len(grids)}")
         search = parse_search(Layer(f"{layer.origin}, search", head.search))
+        _require_no_key_of_its_own(search.parameters, f"{layer.origin}, search")
     return Manifest(layer.origin, head.title, head.description, tuple(grids), search)
 
 
@@ -116,7 +131,9 @@ def _checked(grid: Grid, origin: str, folder: Path) -> Grid:
         twice = next((value for value in values if values.count(value) > 1), None)
         if twice is not None:
             raise UserError(f"{origin}: {key} names {twice!r} twice; leave one out")
-    for name in grid.variants:
+    _require_no_key_of_its_own(grid.settings, f"{origin}, settings")
+    for name, changed in grid.variants.items():
+        _require_no_key_of_its_own(changed, f"{origin}, variant {name}")
         if not _NAME.fullmatch(name):
             raise UserError(
                 f"{origin}: a variant is called {name!r}, allowed: letters, digits, dots and "
@@ -128,6 +145,13 @@ def _checked(grid: Grid, origin: str, folder: Path) -> Grid:
             "robot": None if grid.robot is None else _from_folder(grid.robot, folder),
         }
     )
+
+
+def _require_no_key_of_its_own(settings: Iterable[str], origin: str) -> None:
+    for key in settings:
+        own = _KEYS_OF_THEIR_OWN.get(key.strip())
+        if own is not None:
+            raise UserError(f"{origin}: {key} cannot be set there, use the grid's key {own}")
 
 
 def _from_folder(name: str, folder: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
 
 from iher_robot.durable_file import write_atomically
 from iher_robot.errors import UserError, describe
@@ -11,7 +12,8 @@ from iher_robot.experiments.board import Board, Line
 from iher_robot.experiments.cell_process import Order, Outcome
 from iher_robot.experiments.cells import Cell
 from iher_robot.experiments.executor import Executor
-from iher_robot.experiments.folder import ExperimentFolder, prepare
+from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.preparing import prepare
 from iher_robot.run_directory import Row
 
 _LOOK_S = 1.0
@@ -65,6 +67,7 @@ class Running:
         for cell in cells:
             if cell.name not in self.outcomes:
                 run, log = self.folder.run(cell.name).path, self.folder.log(cell.name)
+                self.folder.failure(cell.name).unlink(missing_ok=True)
                 order = Order(cell.name, cell.options, run, log)
                 self._futures[self.executor.submit(order)] = cell.name
 
@@ -94,13 +97,14 @@ class Running:
         return Outcome(name, "failed", reason)
 
     def _keep(self, outcome: Outcome) -> None:
-        """Write down the small files of a run that was made elsewhere."""
+        """Write down why it failed, and the small files of a run that was made elsewhere."""
         folder = self.folder.run(outcome.name).path
         for name in sorted(outcome.files, key=lambda name: name == _LAST):
             path = self.folder.log(outcome.name) if name == "log" else folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            content = outcome.files[name]
-            write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
+            _write(path, outcome.files[name])
+        if outcome.ending == "failed":
+            reason = ": ".join([outcome.reason, *outcome.lines[-1:]])
+            _write(self.folder.failure(outcome.name), f"{reason}\n".encode())
 
     def _tell(self, outcome: Outcome) -> None:
         place = f"on {outcome.place}" if outcome.place else ""
@@ -128,6 +132,11 @@ class Running:
         if rows:
             success = next((row["success"] for row in reversed(rows) if "success" in row), None)
             line.row = _with(rows[-1], success)
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, lambda file: file.write(content))
 
 
 def _with(row: Row, success: float | None) -> Row:

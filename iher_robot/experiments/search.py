@@ -9,15 +9,12 @@ from statistics import fmean
 from typing import Any
 
 from iher_robot.durable_file import write_atomically
-from iher_robot.errors import UserError
 from iher_robot.experiments.cells import Cell, Identity, expand_grid
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.experiments.running import Running
-from iher_robot.experiments.search_section import Parameter, Search
+from iher_robot.experiments.search_section import Search
+from iher_robot.experiments.study import distributions_of, is_whole, open_study
 from iher_robot.plot import success_points
-
-NEEDED = "pip install 'iher-robot[sweep]'"
-_STUDY = "search"
 
 
 class SearchRun:
@@ -33,28 +30,15 @@ class SearchRun:
         running: Runs the cells.
 
     Raises:
-        UserError: Optuna is missing, or the study in the folder is of other parameters.
+        UserError: Optuna is missing, or the study in the folder is of another search.
     """
 
     def __init__(self, manifest: Manifest, search: Search, running: Running) -> None:
-        try:
-            import optuna
-        except ImportError as error:
-            raise UserError(f"a search needs Optuna (the extra 'sweep'): {NEEDED}") from error
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._manifest, self._search, self._running = manifest, search, running
-        self._distributions = {
-            key: _distribution(parameter) for key, parameter in search.parameters.items()
-        }
-        minimise = search.objective == "minutes-to-success"
-        self._study = optuna.create_study(
-            storage=f"sqlite:///{running.folder.study_path.absolute()}",
-            study_name=_STUDY,
-            direction="minimize" if minimise else "maximize",
-            load_if_exists=True,
-        )
+        self._study = open_study(running.folder, search, self._cells(0, {}))
+        self._distributions = distributions_of(search)
         self._under_way: dict[int, tuple[Cell, ...]] = {}
-        self._require_same_parameters()
+        self._failed: set[int] = set()
 
     @property
     def identities(self) -> list[Identity]:
@@ -62,7 +46,7 @@ class SearchRun:
         return [
             cell.identity
             for trial in self._study.get_trials(deepcopy=False)
-            if self._is_whole(trial)
+            if is_whole(trial, self._distributions)
             for cell in self._cells(trial.number, trial.params)
         ]
 
@@ -85,7 +69,9 @@ class SearchRun:
 
     @property
     def _begun(self) -> int:
-        return sum(map(self._is_whole, self._study.get_trials(deepcopy=False)))
+        return sum(
+            is_whole(trial, self._distributions) for trial in self._study.get_trials(deepcopy=False)
+        )
 
     def _take_up(self) -> None:
         """Go on with trials that were interrupted."""
@@ -94,7 +80,7 @@ class SearchRun:
         for trial in self._study.get_trials(deepcopy=False):
             if trial.state == TrialState.COMPLETE:
                 self._running.prepare(self._cells(trial.number, trial.params))
-            elif trial.state == TrialState.RUNNING and self._is_whole(trial):
+            elif trial.state == TrialState.RUNNING and is_whole(trial, self._distributions):
                 self._begin(trial.number, trial.params)
             elif trial.state == TrialState.RUNNING:  # it was not drawn in full
                 self._study.tell(trial.number, state=TrialState.FAIL)
@@ -120,16 +106,14 @@ class SearchRun:
         self._running.board.say(f"trial {number}: {chosen}")
 
     def _tell(self, number: int, cells: tuple[Cell, ...]) -> None:
-        from optuna.trial import TrialState
-
         endings = {self._running.outcomes[cell.name].ending for cell in cells}
         if endings == {"finished"}:
             value = fmean(map(self._value, cells))
             self._study.tell(number, value)
             self._running.board.say(f"trial {number}: {self._search.objective} {value:.3f}")
         elif "failed" in endings:
-            self._study.tell(number, state=TrialState.FAIL)
-        # One that was interrupted from outside goes on the next time.
+            self._failed.add(number)
+        # One that has no value yet goes on the next time: nothing is told to the study.
         del self._under_way[number]
 
     def _value(self, cell: Cell) -> float:
@@ -147,40 +131,21 @@ class SearchRun:
         origin = f"{self._manifest.origin}, trial {number}"
         return expand_grid(grid, origin, settings, f"trial{number:03d}")
 
-    def _is_whole(self, trial: Any) -> bool:
-        return bool(trial.params.keys() == self._distributions.keys())
-
-    def _require_same_parameters(self) -> None:
-        for trial in self._study.get_trials(deepcopy=False):
-            drawn = trial.distributions
-            if any(drawn[key] != self._distributions.get(key) for key in drawn) or (
-                trial.state.is_finished() and drawn and not self._is_whole(trial)
-            ):
-                raise UserError(
-                    f"the search in {self._running.folder.path} is one with other ranges or "
-                    "choices than the manifest's; choose another --out"
-                )
-
     def _write_trials(self) -> None:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["trial", "state", self._search.objective, *self._distributions])
         for trial in self._study.get_trials(deepcopy=False):
-            if self._is_whole(trial):
+            if is_whole(trial, self._distributions):
                 value = "" if trial.value is None else repr(trial.value)
                 settings = [trial.params[key] for key in self._distributions]
-                writer.writerow([trial.number, trial.state.name.lower(), value, *settings])
+                writer.writerow([trial.number, self._state(trial), value, *settings])
         content = text.getvalue().encode()
         write_atomically(self._running.folder.trials_path, lambda file: file.write(content))
 
-
-def _distribution(parameter: Parameter) -> Any:
-    from optuna import distributions
-
-    if parameter.choices:
-        return distributions.CategoricalDistribution(parameter.choices)
-    assert parameter.low is not None and parameter.high is not None  # noqa: PT018
-    if parameter.integer:
-        low, high = int(parameter.low), int(parameter.high)
-        return distributions.IntDistribution(low, high, log=parameter.log)
-    return distributions.FloatDistribution(parameter.low, parameter.high, log=parameter.log)
+    def _state(self, trial: Any) -> str:
+        if trial.number in self._failed:
+            return "failed"
+        if trial.number in self._under_way:
+            return "running"
+        return "complete" if trial.value is not None else "interrupted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -27,6 +28,14 @@ class Parameter(Section):
     """Draw whole numbers only."""
     choices: tuple[Any, ...] = ()
     """Values to choose from, in place of a range."""
+
+    @property
+    def ends(self) -> tuple[Any, ...]:
+        """Both ends of the range, or every choice."""
+        if self.choices:
+            return self.choices
+        assert self.low is not None and self.high is not None  # noqa: PT018
+        return (int(self.low), int(self.high)) if self.integer else (self.low, self.high)
 
 
 class _Head(Section):
@@ -59,6 +68,16 @@ class Search:
     success: float
     trials: int
     seed: int
+
+    def ends(self) -> Iterator[dict[str, Any]]:
+        """Settings with each end of a range and each choice, the other parameters at their first.
+
+        Settings may have to fit each other: to leave the others out would refuse what fits.
+        """
+        first = {key: parameter.ends[0] for key, parameter in self.parameters.items()}
+        for key, parameter in self.parameters.items():
+            for value in parameter.ends:
+                yield first | {key: value}
 
 
 def parse_search(layer: Layer) -> Search:

@@ -11,6 +11,7 @@ import pytest
 from iher_robot.config import load_config
 from iher_robot.config_source import experiment_names
 from iher_robot.errors import UserError
+from iher_robot.experiments import findings
 from iher_robot.experiments.cells import Cell, expand
 from iher_robot.experiments.manifest import read_manifest
 from iher_robot.yaml_text import format_yaml
@@ -62,8 +63,8 @@ def test_a_variant_counts_before_its_grid(tmp_path: Path) -> None:
 def test_the_options_of_a_cell_give_its_settings(tmp_path: Path) -> None:
     robot = tmp_path / "mine.yaml"
     robot.write_text("actuation: mocap\n")
-    settings = {"learner.ddpg.hidden": [8, 8], "learner.ddpg.policy_average": None, "seed": 3}
-    grid = GRID | {"robot": "mine.yaml", "settings": settings, "until_success": 0.9}
+    settings = {"learner.ddpg.hidden": [8, 8], "learner.ddpg.policy_average": None}
+    grid = GRID | {"robot": "mine.yaml", "settings": settings, "until_success": 0.9, "seeds": [3]}
     (cell,) = cells_of(tmp_path, grid | {"budgets": [0.1]})
 
     words = list(cell.options)
@@ -132,7 +133,16 @@ def expand_named(name: str) -> tuple[Cell, ...]:
         (GRID | {"variants": {"a/b": {}}}, "a variant is called 'a/b'"),
         (GRID | {"variants": {"a": {"learner.ddpg.gama": 1}}}, "did you mean 'learner.ddpg.gamma'"),
         (GRID | {"settings": {"learner.ddpg.gamma": 2}}, "gamma is 2"),
-        (GRID | {"settings": {"task": "push"}}, "task cannot be set there"),
+        (
+            GRID | {"settings": {"task": "push"}},
+            "task cannot be set there, use the grid's key tasks",
+        ),
+        (GRID | {"settings": {"seed": 3}}, "seed cannot be set there, use the grid's key seeds"),
+        (GRID | {"settings": {"until_success": 1.0}}, "use the grid's key until_success"),
+        (
+            GRID | {"variants": {"long": {"budget_minutes": 9}}},
+            "variant long: budget_minutes cannot be set there, use the grid's key budgets",
+        ),
         (GRID | {"presets": ["papre"]}, "unknown preset 'papre'"),
         (GRID | {"algos": ["hre"]}, "unknown algorithm 'hre'"),
         ({"tasks": ["raech"]}, "unknown task 'raech'"),
@@ -164,6 +174,45 @@ def test_what_is_wrong_around_the_grids(tmp_path: Path) -> None:
         read_manifest("smok")
     with pytest.raises(UserError, match=r"no experiment file at .*there\.yaml"):
         read_manifest(str(tmp_path / "there.yaml"))
+
+
+METHOD = {"tasks": ["reach"], "presets": ["paper"]}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "key"),
+    [
+        ({"budgets": [60]}, {"budgets": [6]}, "budget_minutes is 60.0 in the first and 6.0 in the"),
+        ({}, {"settings": {"learner.ddpg.gamma": 0.5}}, "learner.ddpg.gamma is 0.98 in the first"),
+        ({"until_success": 0.9}, {}, "until_success is 0.9 in the first and None in the second"),
+        ({"presets": ["a/p.yaml"]}, {"presets": ["b/p.yaml"]}, "preset is "),
+        ({"robot": "a/p.yaml"}, {"robot": "b/p.yaml"}, "robot is "),
+    ],
+)
+def test_runs_that_differ_in_more_than_the_seed_are_no_seeds_of_one_method(
+    tmp_path: Path, first: dict[str, Any], second: dict[str, Any], key: str
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "p.yaml").write_text("{}")
+    more = {"seeds": [1, 2]}
+
+    with pytest.raises(UserError) as caught:
+        cells_of(tmp_path, METHOD | first, METHOD | second | more)
+
+    assert f"method, but {key}" in str(caught.value)
+    assert "give it a variant name" in str(caught.value)
+    named = {"variants": {"other": second.pop("settings", {})}}
+    assert len(cells_of(tmp_path, METHOD | first, METHOD | second | more | named)) == 3
+
+
+def test_seeds_of_one_method_may_be_in_several_grids(tmp_path: Path) -> None:
+    more = {"seeds": [1], "settings": {"simulators": 2}}  # by which no number changes
+    cells = cells_of(tmp_path, METHOD, METHOD | more)
+
+    assert len({cell.identity.method for cell in cells}) == 1
+    # The report groups by the same.
+    assert {*findings._TOLD_APART_BY, "task", "seed"} == cells[0].identity.as_row().keys()
 
 
 SEARCH = {"parameters": {"learner.ddpg.gamma": {"low": 0.9, "high": 0.99}}, "trials": 3}

@@ -151,10 +151,6 @@ def test_a_report_is_made_again_from_its_tables_alone(
 
     assert content(again.markdown) == content(first.markdown)
     assert content(again.html) == content(first.html)
-    assert report(folder.path, out=tmp_path / "elsewhere").markdown.parent.name == "elsewhere"
-    assert {path.name for path in (tmp_path / "elsewhere").iterdir()} == {
-        *("report.md", "report.html", "figures")
-    }
 
 
 def test_the_page_stands_alone_and_escapes_what_it_shows(folder: ExperimentFolder) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ pytest.importorskip("pandas")
 
 from iher_robot.experiments.search import SearchRun
 
-SEARCH = {
+SEARCH: dict[str, Any] = {
     "parameters": {
         "learner.ddpg.gamma": {"low": 0.5, "high": 0.99},
         "learner.ddpg.batch_size": {"choices": [64, 128]},
@@ -69,11 +71,15 @@ class Instant(LocalExecutor):
         return Outcome(order.name, "finished")
 
 
-def search(folder: Path, **changed: Any) -> list[dict[str, str]]:
-    manifest = read_manifest(write_manifest(folder / "m.yaml", GRID, search=SEARCH | changed))
+def search(
+    folder: Path, grid: Mapping[str, Any] | None = None, **changed: Any
+) -> list[dict[str, str]]:
+    manifest = read_manifest(
+        write_manifest(folder / "m.yaml", GRID | dict(grid or {}), search=SEARCH | changed)
+    )
     out = ExperimentFolder(folder / "out")
     assert manifest.search is not None
-    assert len(expand(manifest)) == 1
+    assert expand(manifest)
     with out.hold(), Instant(out) as executor:
         running = Running(out, executor, Board("", enabled=False))
         made = SearchRun(manifest, manifest.search, running)
@@ -113,21 +119,86 @@ def test_a_search_with_other_ranges_is_refused(tmp_path: Path) -> None:
     search(tmp_path, trials=1)
     other = {"learner.ddpg.gamma": {"low": 0.1, "high": 0.2}}
 
-    with pytest.raises(UserError, match="with other ranges or choices than the manifest's"):
+    with pytest.raises(UserError, match="it has other ranges or choices than the manifest's"):
         search(tmp_path, parameters=other)
 
 
-def test_a_trial_of_a_cell_that_fails_has_no_value(
+@pytest.mark.parametrize(
+    ("changed", "grid", "said"),
+    [
+        (
+            {"objective": "success-at-budget"},
+            {},
+            "its objective is 'minutes-to-success', and 'success-at-budget' in the manifest",
+        ),
+        ({"success": 0.5}, {}, "its success is 0.9, and 0.5 in the manifest"),
+        ({}, {"seeds": [0, 1]}, "its grid is another one than that in the manifest"),
+        ({}, {"settings": {"evaluation.episodes": 7}}, "its grid is another one"),
+    ],
+)
+@pytest.mark.parametrize("trials", [1, 2])
+def test_a_search_for_something_else_is_refused(
+    tmp_path: Path, changed: dict[str, Any], grid: dict[str, Any], said: str, trials: int
+) -> None:
+    before = search(tmp_path, trials=1)
+
+    with pytest.raises(UserError) as caught:
+        search(tmp_path, grid=grid, trials=trials, **changed)
+
+    assert said in str(caught.value)
+    assert search(tmp_path, trials=1) == before
+
+
+@pytest.mark.parametrize(
+    ("key", "parameter", "said"),
+    [
+        ("learner.ddpg.gama", {"low": 0.5, "high": 0.9}, "unknown key 'learner.ddpg.gama'"),
+        ("learner.ddpg.gamma", {"low": 0.5, "high": 1.5}, "gamma is 1.5, allowed: "),
+        ("learner.ddpg.gamma", {"low": -0.5, "high": 0.9}, "gamma is -0.5, allowed: "),
+        ("learner.ddpg.critics", {"low": 1, "high": 2}, "critics is 1.0, allowed: an integer"),
+        ("learner.ddpg.inputs", {"choices": ["absolute", "relativ"]}, "inputs is 'relativ'"),
+        ("learner.ddpg.gamma", {"low": -math.inf, "high": 0.9}, "allowed: a finite number with"),
+        ("budget_minutes", {"low": 1, "high": 9}, "use the grid's key budgets"),
+    ],
+)
+def test_what_a_search_may_draw_is_checked_before_there_is_a_study(
+    tmp_path: Path, key: str, parameter: dict[str, Any], said: str
+) -> None:
+    parameters = {"learner.ddpg.batch_size": {"choices": [64]}, key: parameter}
+
+    with pytest.raises(UserError) as caught:
+        search(tmp_path, parameters=parameters)
+
+    assert said in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_parameters_may_have_to_fit_each_other(tmp_path: Path) -> None:
+    parameters = {  # the preset has fewer critics than the first of these subsets
+        "learner.ddpg.critics": {"low": 20, "high": 30, "integer": True},
+        "learner.ddpg.target_subset": {"low": 15, "high": 20, "integer": True},
+        "learner.ddpg.gamma": SEARCH["parameters"]["learner.ddpg.gamma"],
+    }
+    assert len(search(tmp_path, parameters=parameters, trials=1)) == 1
+
+
+def test_a_trial_of_a_cell_that_fails_is_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(self: Instant, order: Order) -> Outcome:
         return Outcome(order.name, "failed", "exit code 1")
 
-    monkeypatch.setattr(Instant, "_run", fail)
+    with monkeypatch.context() as patched:
+        patched.setattr(Instant, "_run", fail)
+        failed = search(tmp_path, trials=2)
 
-    trials = search(tmp_path, trials=2)
+    assert [(t["state"], t["minutes-to-success"]) for t in failed] == [("failed", "")] * 2
 
-    assert [(t["state"], t["minutes-to-success"]) for t in trials] == [("fail", "")] * 2
+    again = search(tmp_path, trials=2)
+
+    assert [trial["state"] for trial in again] == ["complete"] * 2
+    settings = [[trial[key] for key in SEARCH["parameters"]] for trial in failed]
+    assert [[trial[key] for key in SEARCH["parameters"]] for trial in again] == settings
 
 
 def test_a_search_without_optuna(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

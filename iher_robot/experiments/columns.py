@@ -1,0 +1,64 @@
+"""Columns of the tables of an experiment, with pandas' types."""
+
+from __future__ import annotations
+
+_IDENTITY = {
+    "cell": "string",
+    "task": "string",
+    "robot": "string",
+    "algo": "string",
+    "preset": "string",
+    "variant": "string",
+    "budget": "Float64",
+    "seed": "Int64",
+}
+EVALUATION_COLUMNS = _IDENTITY | {
+    "budget_minutes": "Float64",
+    "epoch": "Int64",
+    "robot_minutes": "Float64",
+    "success": "Float64",
+    "evaluation_episodes": "Int64",
+    "episodes": "Int64",
+    "updates": "Int64",
+    "wall_seconds": "Float64",
+    "imagined_success": "Float64",
+    "model_error_1": "Float64",
+    "model_error_10": "Float64",
+    "model_error_50": "Float64",
+    "still_error_1": "Float64",
+    "still_error_10": "Float64",
+    "still_error_50": "Float64",
+    "intrinsic_real": "Float64",
+    "intrinsic_imagined": "Float64",
+    "object_moved": "Float64",
+}
+"""Columns of the table of evaluations."""
+RUN_COLUMNS = _IDENTITY | {
+    "budget_minutes": "Float64",
+    "until_success": "Float64",
+    "state": "string",
+    "reason": "string",
+    "epochs": "Int64",
+    "evaluations": "Int64",
+    "robot_minutes": "Float64",
+    "success": "Float64",
+    "final_successes": "Int64",
+    "final_episodes": "Int64",
+    "wall_seconds": "Float64",
+    "command": "string",
+    "processes": "Int64",
+    "commit": "string",
+    "dirty": "boolean",
+    "cpu": "string",
+    "cores": "string",
+    "system": "string",
+    "python": "string",
+    "iher_robot": "string",
+    "torch": "string",
+    "mujoco": "string",
+    "gymnasium_robotics": "string",
+    "numpy": "string",
+    "rows": "Int64",
+}
+"""Columns of the table of runs. ``rows`` and ``evaluations`` say how many rows the two tables have
+in all and of the run, so that a table that was cut off shows."""
