@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import base64
-import csv
 import importlib.metadata
 import importlib.resources
-import math
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +14,7 @@ import markupsafe
 from markdown_it import MarkdownIt
 
 from iher_robot.durable_file import read_file, write_atomically
-from iher_robot.experiments import words
+from iher_robot.experiments import sources, words
 from iher_robot.experiments.figures import draw_minutes, draw_success
 from iher_robot.experiments.findings import (
     RATES,
@@ -30,8 +27,7 @@ from iher_robot.experiments.findings import (
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.numbers import LEAST_TRIMMED, REPETITIONS
 from iher_robot.experiments.table import read_table
-
-_WIDTH_OF_A_CPU = 60
+from iher_robot.experiments.trial_table import trial_rows
 
 
 def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, Path]:
@@ -56,7 +52,7 @@ def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, 
     text = _template("report.md.j2").render(
         title=words.plain(origin["title"]),
         description=origin["description"],
-        state=_state(rows),
+        state=sources.state(rows),
         tasks=[_task(task, group, figures) for task, group in methods.items()],
         overall=[
             [
@@ -68,12 +64,12 @@ def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, 
             ]
             for one in over_tasks(methods)
         ],
-        trials=_trials(folder),
+        trials=trial_rows(folder.trials_path),
         repetitions=f"{REPETITIONS:,}",
         scipy=importlib.metadata.version("scipy"),
-        facts=_facts(origin, rows),
-        commands=list(dict.fromkeys(shlex.join(p["command"]) for p in origin["processes"])),
-        runs=list(map(_run, rows)),
+        facts=sources.facts(origin, rows),
+        commands=sources.commands(origin),
+        runs=list(map(sources.run_row, rows)),
         made=made,
     )
     markdown, html = out / "report.md", out / "report.html"
@@ -207,72 +203,3 @@ def _final(method: Method) -> str:
     return ", ".join(
         words.UNKNOWN if final is None else "{} of {}".format(*final) for final in finals
     )
-
-
-def _run(row: Mapping[Any, Any]) -> list[str]:
-    if row["state"] == "not begun":
-        return [words.plain(row["cell"]), "not begun", "", "", "", ""]
-    dirty = row["dirty"] is True
-    commit = row["commit"][:10] + (", changed" if dirty else "")
-    return [
-        words.plain(row["cell"]),
-        row["state"],
-        words.minutes(row["robot_minutes"]),
-        words.duration(row["wall_seconds"]),
-        commit,
-        words.as_code(row["command"]),
-    ]
-
-
-def _state(rows: Sequence[Mapping[Any, Any]]) -> str:
-    finished = sum(row["state"] == "finished" for row in rows)
-    if finished == len(rows):
-        return f"All {len(rows)} runs have finished."
-    return (
-        f"**{finished} of {len(rows)} runs have finished;** the others are in here as far as they "
-        "have come."
-    )
-
-
-def _facts(origin: Mapping[str, Any], rows: Sequence[Mapping[Any, Any]]) -> list[str]:
-    """Manifest, versions, commits and machines."""
-    begun = [row for row in rows if row["state"] != "not begun"]
-
-    def each(*names: str) -> str:
-        told = dict.fromkeys(", ".join(_fact(row, name) for name in names) for row in begun)
-        return "; ".join(told) or words.UNKNOWN
-
-    def _fact(row: Mapping[Any, Any], name: str) -> str:
-        return str(row[name])[:_WIDTH_OF_A_CPU]
-
-    versions = "; ".join(
-        dict.fromkeys(
-            ", ".join(f"{name} {row[name]}" for name in ("python", "torch", "mujoco", "numpy"))
-            for row in begun
-        )
-    )
-    return [
-        f"Manifest: {origin['manifest']}",
-        f"Commit: {each('commit')}"
-        + (", with changes" if any(row["dirty"] is True for row in begun) else ""),
-        f"Versions: {versions or words.UNKNOWN}",
-        f"Machine: {each('cpu', 'cores')} cores, {each('system')}; one core a run",
-        "Robot: " + "; ".join(dict.fromkeys(row["robot"] for row in rows)),
-    ]
-
-
-def _trials(folder: ExperimentFolder) -> list[list[str]]:
-    """Rows of the table of trials, its head first."""
-    if not folder.trials_path.exists():
-        return []
-    head, *rows = csv.reader(read_file(folder.trials_path, "table of trials").decode().splitlines())
-    sign = -1.0 if head[2] == "success-at-budget" else 1.0
-    rows.sort(key=lambda row: sign * float(row[2]) if row[2] else math.inf)
-    return [[words.plain(_short(text)) for text in row] for row in (head, *rows)]
-
-
-def _short(text: str) -> str:
-    try:
-        return f"{float(text):.4g}"
-    except ValueError:
-        return text

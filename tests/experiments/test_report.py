@@ -114,7 +114,7 @@ def test_the_numbers_of_a_report(folder: ExperimentFolder) -> None:
         *("iher", "2 of 3 finished", "**2.0** (2.0, 2.0)", "**2.5** (3.0, 2.0)", "> 1.4")
     ]
     assert "HER is `her` as published: her." in text
-    assert "**4 of 6 runs have finished;**" in text
+    assert "**4 of 6 runs have finished**, 2 not begun." in text
     assert "No evaluation yet: reach-her-default-seed2, reach-iher-default-seed2." in text
     assert "iher-robot experiment m.yaml" in text
     assert "c0ffee" in text
