@@ -13,6 +13,7 @@ from iher_robot.config_source import experiment_names
 from iher_robot.errors import UserError
 from iher_robot.experiments import findings
 from iher_robot.experiments.cells import Cell, expand
+from iher_robot.experiments.differences import differences
 from iher_robot.experiments.manifest import read_manifest
 from iher_robot.yaml_text import format_yaml
 
@@ -101,7 +102,7 @@ def test_every_shipped_experiment_expands(name: str) -> None:
 
 def test_the_shipped_experiments_are_what_they_are_called() -> None:
     names = {"fig-benchmark", "fig-ablation", "fig-ensemble", "default-vs-paper"}
-    assert names | {"reach", "push", "smoke"} == set(experiment_names())
+    assert names | {"reach", "push", "smoke", "open-points"} == set(experiment_names())
     ablation = {cell.identity.variant: cell.config.learner for cell in expand_named("fig-ablation")}
     assert [
         (c.ddpg.source_input, c.imagination.regenerate, c.intrinsic.enabled)
@@ -112,6 +113,15 @@ def test_the_shipped_experiments_are_what_they_are_called() -> None:
         for cell in expand_named("fig-ensemble")
     }
     assert ensembles == set(itertools.product((1, 3, 5), (True, False)))
+
+
+def test_each_open_point_is_changed_alone() -> None:
+    chosen, *others = (cell for cell in expand_named("open-points") if not cell.identity.seed)
+
+    changed = [[*differences(chosen.config, other.config)] for other in others]
+
+    assert len(changed) == 7
+    assert all(len(keys) == 1 and keys[0].startswith("learner.") for keys in changed), changed
 
 
 def expand_named(name: str) -> tuple[Cell, ...]:
