@@ -63,7 +63,7 @@ class Recorder:
 
     error: BaseException | None = None
     args: tuple[object, ...] = ()
-    failed: tuple[str, ...] = ()
+    complete: bool = True
     kwargs: dict[str, object] = field(default_factory=dict)
 
     def __call__(self, *args: object, **kwargs: object) -> Recorder:
@@ -155,7 +155,6 @@ def test_resume_continues_a_folder(run: Run, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_experiment_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = replace(monkeypatch, "experiment", "experiment")
-    experiment.complete = True
 
     outcome = run(
         *"experiment push --out there --workers 3 --executor ray --address auto --ship".split(),
