@@ -185,7 +185,7 @@ def _method(method: Method, others: Sequence[Method]) -> list[str]:
 def _stop(method: Method) -> str:
     rates = dict.fromkeys(run.until_success for run in method.runs)
     told = [words.percent(rate) for rate in rates if rate is not None]
-    return f", or at {' or '.join(told)} %" if told else ""
+    return f" (stops at {' or '.join(told)} %)" if told else ""
 
 
 def _evaluations(method: Method) -> str:

@@ -106,7 +106,7 @@ def test_the_numbers_of_a_report(folder: ExperimentFolder) -> None:
         "mean": "",
         "each seed, %": "40, 95",
         "final policy, fresh episodes": "90 of 100, 90 of 100",
-        "robot min": "4.0, or at 100 %",
+        "robot min": "4.0 (stops at 100 %)",
         "evaluated every": "1.0 min, 50 episodes",
         "wall clock": "0:00:00",
     }
