@@ -74,6 +74,7 @@ def draw_minutes(methods: Sequence[Method], path: Path, title: str) -> None:
     for axes, rate in zip(panels, RATES, strict=True):
         for place, method in enumerate(shown):
             _draw_dots(axes, place, method, rate, COLORS[methods.index(method) % len(COLORS)])
+    for axes, rate in zip(panels, RATES, strict=True):  # they share an axis, so once all is drawn
         axes.set_yticks(range(len(shown)), [method.label for method in shown], parse_math=False)
         axes.set_ylim(len(shown) - 0.5, -0.5)
         _dress(axes)
