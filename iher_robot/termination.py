@@ -19,7 +19,6 @@ class Terminated(KeyboardInterrupt):
 @contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
     """Let SIGTERM unwind the program as Ctrl-C does, instead of ending it on the spot."""
-    _arrived.clear()
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may set handlers
         return
@@ -34,6 +33,7 @@ def sigterm_as_interrupt() -> Iterator[None]:
     try:
         yield
     finally:
+        _arrived.clear()
         # Where it is ignored the process is about to exit, and with a code of its own.
         if signal.getsignal(signal.SIGTERM) is terminate:
             signal.signal(signal.SIGTERM, before)
