@@ -25,7 +25,8 @@ def trial_rows(path: Path) -> list[list[str]]:
     lines = read_file(path, "table of trials").decode(errors="replace").splitlines()
     table: list[list[str]] = [*csv.reader(lines)] or [[]]
     head, *rows = table
-    if head[:_VALUE] != [*_HEAD] or {len(row) for row in rows} - {len(head)}:
+    widths = {len(row) for row in table}
+    if head[:_VALUE] != [*_HEAD] or len(widths) > 1 or len(head) <= _VALUE:
         raise UserError(f"{path} is no table of trials; run the experiment again to make it")
     sign = -1.0 if head[_VALUE] == "success-at-budget" else 1.0
     try:

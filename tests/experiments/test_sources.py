@@ -102,6 +102,7 @@ def test_trials_are_told_the_best_first(tmp_path: Path) -> None:
     [
         ("", "is no table of trials"),
         ("a,b\n", "is no table of trials"),
+        ("trial,state\n", "is no table of trials"),
         ("trial,state,minutes-to-success\n0,complete\n", "is no table of trials"),
         ("trial,state,minutes-to-success\n0,complete,soon\n", "a value that is no number"),
     ],
