@@ -1,25 +1,27 @@
 """How often a report's 95 % intervals hold the true value, by the number of seeds.
 
-    python bench/bootstrap_coverage.py
+    python bench/bootstrap_coverage.py --out bench/results/bootstrap-coverage.json
 
 Scores are drawn from a normal distribution, whose interquartile mean is its mean. Prints the
-share of experiments whose interval holds it, and writes it to
-``bench/results/bootstrap-coverage.json``.
+share of experiments whose interval holds it.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import sys
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import scipy
 
 from iher_robot.experiments.numbers import CONFIDENCE, REPETITIONS, estimate
+from iher_robot.provenance import collect_provenance
 
 EXPERIMENTS = 2_000
 SEEDS = (2, 3, 5, 10, 20)
-OUT = Path(__file__).parent / "results" / "bootstrap-coverage.json"
 
 
 def coverage(seeds: int, rng: np.random.Generator) -> float:
@@ -32,22 +34,23 @@ def coverage(seeds: int, rng: np.random.Generator) -> float:
 
 
 def main() -> None:
-    """Measure, print and write down."""
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
     rng = np.random.default_rng(0)
     found = {str(seeds): round(coverage(seeds, rng), 3) for seeds in SEEDS}
     for seeds, share in found.items():
         print(f"{seeds:>3} seeds  {share:.1%}")
-    content = {
-        "command": "python bench/bootstrap_coverage.py",
-        "scipy": scipy.__version__,
-        "numpy": np.__version__,
-        "seed": 0,
-        "experiments": EXPERIMENTS,
-        "draws": REPETITIONS,
-        "confidence": CONFIDENCE,
-        "coverage": found,
-    }
-    OUT.write_text(json.dumps(content, indent=2) + "\n")
+    if options.out is not None:
+        document = collect_provenance(sys.argv, 0, datetime.now().astimezone()) | {
+            "scipy": scipy.__version__,
+            "experiments": EXPERIMENTS,
+            "draws": REPETITIONS,
+            "confidence": CONFIDENCE,
+            "coverage": found,
+        }
+        options.out.write_text(json.dumps(document, indent=2) + "\n")
 
 
 if __name__ == "__main__":
