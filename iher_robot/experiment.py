@@ -185,9 +185,10 @@ def _run(
     with options.make(cells, lock) as executor:
         running = Running(folder, executor, board)
         if manifest.search is None:
-            for cell in cells:  # those that are not chosen are in the report, too
-                prepare(folder, cell)
             running.prepare(chosen)
+            for cell in cells:
+                if cell not in chosen:  # it is in the report, too
+                    prepare(folder, cell)
             folder.begin(manifest, provenance, [cell.identity for cell in cells])
             board.say(f"{manifest.title}: {len(chosen)} cells, {executor.title}, in {folder.path}")
             with board:

@@ -33,6 +33,11 @@ EVALUATION_COLUMNS = _IDENTITY | {
     "object_moved": "Float64",
 }
 """Columns of the table of evaluations."""
+VERSIONS = {
+    name.replace("-", "_"): name
+    for name in ("python", "iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
+}
+"""Columns of the table of runs with a version, and what it is the version of."""
 RUN_COLUMNS = _IDENTITY | {
     "budget_minutes": "Float64",
     "until_success": "Float64",
@@ -52,12 +57,7 @@ RUN_COLUMNS = _IDENTITY | {
     "cpu": "string",
     "cores": "string",
     "system": "string",
-    "python": "string",
-    "iher_robot": "string",
-    "torch": "string",
-    "mujoco": "string",
-    "gymnasium_robotics": "string",
-    "numpy": "string",
+    **dict.fromkeys(VERSIONS, "string"),
     "rows": "Int64",
 }
 """Columns of the table of runs. ``rows`` and ``evaluations`` say how many rows the two tables have

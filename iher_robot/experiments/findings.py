@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from iher_robot.experiments.crossing import MinutesTo, Ratio, ratio
+from iher_robot.experiments.folder import NOT_BEGUN
 from iher_robot.experiments.numbers import (
     Curve,
     Estimate,
@@ -113,7 +114,7 @@ def find_methods(evaluations: Any, runs: Any) -> dict[str, list[Method]]:
         evaluations: Table of evaluations.
         runs: Table of runs.
     """
-    begun = runs[runs["state"] != "not begun"]
+    begun = runs[runs["state"] != NOT_BEGUN]
     by_cell = runs_of(evaluations, begun)
     rows = [_known(row) for row in runs.to_dict("records")]
     varied = [key for key in _TOLD_APART_BY if len({row[key] for row in rows}) > 1]

@@ -26,7 +26,7 @@ from iher_robot.experiments.findings import (
 )
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.numbers import LEAST_TRIMMED, REPETITIONS
-from iher_robot.experiments.table import read_table
+from iher_robot.experiments.table import read_tables
 from iher_robot.experiments.trial_table import trial_rows
 
 
@@ -45,7 +45,7 @@ def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, 
         UserError: A table is missing or damaged, an extra is missing, or the system refuses.
     """
     origin = folder.read_origin()
-    evaluations, runs = read_table(folder, runs=False), read_table(folder, runs=True)
+    evaluations, runs = read_tables(folder)
     methods = find_methods(evaluations, runs)
     figures = _Figures(out, folder.figures_path.name)
     rows = runs.to_dict("records")

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from iher_robot.experiments.columns import VERSIONS
 from iher_robot.provenance import read_provenance
 from iher_robot.run_directory import RunDirectory
-
-_VERSIONS = ("python", "iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
 
 
 def origin_of(directory: RunDirectory) -> dict[str, Any]:
@@ -35,7 +34,7 @@ def origin_of(directory: RunDirectory) -> dict[str, Any]:
         "commit": _each(processes, "commit"),
         "dirty": _any(process.get("dirty") for process in processes),
         **{name: _each(machines, name) for name in ("cpu", "cores", "system")},
-        **{name.replace("-", "_"): _each(versions, name) for name in _VERSIONS},
+        **{column: _each(versions, name) for column, name in VERSIONS.items()},
     }
 
 

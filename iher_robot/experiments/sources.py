@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from iher_robot.experiments import words
+from iher_robot.experiments.columns import VERSIONS
+from iher_robot.experiments.folder import NOT_BEGUN
 
 _WIDTH_OF_A_NAME = 60
 _WIDTH_OF_A_COMMIT = 10
-_VERSIONS = ("python", "iher_robot", "torch", "mujoco", "gymnasium_robotics", "numpy")
-_WITHOUT_NUMBERS = ("not begun", "damaged")
+_WITHOUT_NUMBERS = (NOT_BEGUN, "damaged")
 
 Row = Mapping[Any, Any]
 
@@ -37,7 +38,7 @@ def facts(origin: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
         f"{_short(row['cpu'])}, {row['cores']} cores, {_short(row['system'])}" for row in known
     )
     versions = (
-        ", ".join(f"{name.replace('_', '-')} {row[name]}" for name in _VERSIONS if row[name])
+        ", ".join(f"{name} {row[column]}" for column, name in VERSIONS.items() if row[column])
         for row in known
     )
     return [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +28,6 @@ def require_pandas() -> Any:
     except ImportError as error:
         raise UserError(f"tables need pandas (the extra 'report'): {NEEDED}") from error
     return pd
-
-
-@dataclass(frozen=True)
-class _Tables:
-    evaluations: Any
-    runs: Any
 
 
 def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
@@ -72,46 +65,44 @@ def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
     _write(target.runs_path, runs, RUN_COLUMNS)
 
 
-def read_table(folder: ExperimentFolder, *, runs: bool) -> Any:
-    """Read a table back, from its CSV file.
+def read_tables(folder: ExperimentFolder) -> tuple[Any, Any]:
+    """Read the tables back, from their CSV files.
 
     Args:
         folder: The experiment.
-        runs: The table of runs, or that of evaluations.
 
     Returns:
-        A pandas DataFrame with the columns above.
+        That of evaluations and that of runs, pandas DataFrames with the columns of `columns`.
 
     Raises:
-        UserError: It is missing or damaged, or not of all cells of the experiment.
+        UserError: One is missing or damaged, or they are not of all cells of the experiment.
     """
-    tables = _read(folder)
-    there = set(tables.runs["cell"])
+    evaluations, runs = _read(folder)
+    there = set(runs["cell"])
     for identity in folder.identities():
         if identity.name not in there:
             raise no_table(folder.runs_path, f"it has no row of cell {identity.name}")
-    return tables.runs if runs else tables.evaluations
+    return evaluations, runs
 
 
 def _read_earlier(folder: ExperimentFolder) -> dict[str, tuple[list[Row], Row]]:
     """Rows of the tables that are there, by cell."""
     if not folder.runs_path.exists() and not folder.evaluations_path.exists():
         return {}
-    tables = _read(folder)
-    evaluations = _rows(tables.evaluations)
+    evaluations, runs = map(_rows, _read(folder))
     return {
         run["cell"]: ([row for row in evaluations if row["cell"] == run["cell"]], run)
-        for run in _rows(tables.runs)
+        for run in runs
     }
 
 
-def _read(folder: ExperimentFolder) -> _Tables:
+def _read(folder: ExperimentFolder) -> tuple[Any, Any]:
     """Read and check both tables; they may be older than some of the cells."""
     runs = _read_frame(folder.runs_path, RUN_COLUMNS)
     check_runs(_rows(runs), folder.identities(), folder.runs_path)
     evaluations = _read_frame(folder.evaluations_path, EVALUATION_COLUMNS)
     check_evaluations(_rows(evaluations), _rows(runs), folder.evaluations_path)
-    return _Tables(evaluations, runs)
+    return evaluations, runs
 
 
 def _read_frame(path: Path, columns: Mapping[str, str]) -> Any:

@@ -19,7 +19,7 @@ from tests.experiments.made import NAMES, begin, commit, make_cell, make_experim
 
 pytest.importorskip("pandas")
 
-from iher_robot.experiments.table import read_table, write_tables
+from iher_robot.experiments.table import read_tables, write_tables
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> ExperimentFolder:
 
 def runs_of(folder: ExperimentFolder) -> dict[str, dict[str, Any]]:
     write_tables(folder, folder)
-    return {row["cell"]: row for row in read_table(folder, runs=True).to_dict("records")}
+    return {row["cell"]: row for row in read_tables(folder)[1].to_dict("records")}
 
 
 def states_of(folder: ExperimentFolder) -> list[str]:
@@ -72,7 +72,7 @@ def test_rows_of_runs_that_are_gone_stay(folder: ExperimentFolder, cells: str) -
     make_cell(small, "reach-iher-default-seed3", (0.5,), done=True)
     write_tables(small, small)
     assert states_of(small) == ["finished", "interrupted", "not begun", "finished"]
-    assert len(read_table(small, runs=False)) == 2 + 3 + 1
+    assert len(read_tables(small)[0]) == 2 + 3 + 1
 
 
 def test_tables_of_runs_that_are_all_there_are_made_anew(folder: ExperimentFolder) -> None:
@@ -100,7 +100,7 @@ def test_numbers_and_names_are_read_as_they_were_written(tmp_path: Path) -> None
 
     write_tables(folder, folder)
 
-    table = read_table(folder, runs=False)
+    table = read_tables(folder)[0]
     assert table["success"].tolist() == rates
     assert set(table["variant"]) == {"None"}
 
@@ -134,7 +134,7 @@ def test_a_damaged_run_does_not_prevent_the_report_of_the_others(folder: Experim
     row = runs_of(folder)[NAMES[1]]
     assert (row["state"], row["evaluations"]) == ("damaged", 0)
     assert "metrics.jsonl, line 2, is no metrics" in row["reason"]
-    assert set(read_table(folder, runs=False)["cell"]) == {NAMES[0]}
+    assert set(read_tables(folder)[0]["cell"]) == {NAMES[0]}
     assert "damaged" in made.markdown.read_text()
 
 
@@ -151,7 +151,7 @@ def test_reports_at_the_same_time(folder: ExperimentFolder) -> None:
         made = list(threads.map(lambda _: report(folder.path), range(6)))
 
     assert len({one.html for one in made}) == 1
-    assert len(read_table(folder, runs=False)) == 5
+    assert len(read_tables(folder)[0]) == 5
 
 
 def test_a_report_waits_for_another_one_but_not_for_ever(folder: ExperimentFolder) -> None:
