@@ -349,7 +349,7 @@ def test_a_slow_learner_delays_no_tick_of_a_served_robot(
             asynchronous=True,
             display=False,
         )
-    # A busy machine may cost a tick here and there; one that waits for the learner would cost 75 at once.
+    # A busy machine may cost some ticks; waiting for the learner would cost 75 at once.
     longest_gap = max(int(stored.elapsed.max()) for stored in EpisodeReader(out / "episodes"))
     assert longest_gap < slow_s * 25 / 3
     assert re.search(r"off the control period by .* ms", result.summary())

@@ -129,7 +129,13 @@ class StateTests(ContractSuite):
         assert driver.read().mode is Mode.DISARMED
         driver.arm()
         assert driver.read().mode is Mode.HELD
-        assert self.tick(driver, self.samples(driver, kind)).mode is Mode.MOVING
+        modes = set()
+        for _ in range(_TICKS):  # a robot in real time holds in a tick that is missed
+            state = self.tick(driver, self.samples(driver, kind))
+            assert state.applied is not None
+            if self.is_prompt(state.applied, state):
+                modes.add(state.mode)
+        assert modes == {Mode.MOVING}
         driver.disarm()
         disarmed = driver.read()
         assert (disarmed.mode, disarmed.fault) == (Mode.DISARMED, None)

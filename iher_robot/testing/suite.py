@@ -10,7 +10,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 import pytest
 
-from drivers import ResetOutcome, ResetRequest, RobotDriver, RobotState
+from drivers import AppliedCommand, ResetOutcome, ResetRequest, RobotDriver, RobotState
 from iher_robot.testing.command_samples import CommandSamples, EndEffectorSamples, JointSamples
 
 Error = TypeVar("Error", bound=Exception)
@@ -36,9 +36,9 @@ class ContractSuite(ABC):
     overshoot: ClassVar[float] = 0.1
     """Share by which a measured speed may exceed its limit, since a motor follows its target
     with an error. What is reported as applied may not exceed a limit at all."""
-    speed_error: ClassVar[float] = 0.05
+    speed_error: ClassVar[float] = 0.01
     """By how much the measured speed of a joint may exceed its limit besides, m/s and rad/s:
-    fast joints shake the slow ones."""
+    fast joints shake the slow ones, and it is measured with an error."""
     position_error: ClassVar[float] = 0.01
     """By how much a measured position may exceed its limit, m and rad."""
     kinds: ClassVar[Sequence[str]] = ()
@@ -103,6 +103,24 @@ class ContractSuite(ABC):
         )
         driver.advance()
         return driver.read()
+
+    def is_prompt(self, applied: AppliedCommand, state: RobotState) -> bool:
+        """Whether a command was applied in the next tick, and this is the state at its end.
+
+        In real time a test may miss ticks; in a simulation no tick passes unasked.
+
+        Args:
+            applied: What the state reports.
+            state: The newest one.
+        """
+        answered = applied.command.answers
+        prompt = applied.tick == state.seq == answered + 1
+        assert prompt or self.real_time, (
+            f"`applied.tick` is the state that ends the tick: the command answers {answered}, "
+            f"`applied.tick` is {applied.tick}, and the state after it is {state.seq}"
+        )
+        assert answered < applied.tick <= state.seq
+        return prompt
 
     def hold(self, driver: RobotDriver, ticks: int) -> RobotState:
         """Run ticks without a command; return the last state."""

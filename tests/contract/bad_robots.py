@@ -62,6 +62,12 @@ class NeverWaits(FakeRobot):
         self.stamp_ns = self._clock.now_ns()
 
 
+class AlwaysMissesATick(FakeRobot):
+    def _advance(self) -> None:
+        self.lost_ticks = 1
+        super()._advance()
+
+
 class StopsAtTheNextTick(FakeRobot):
     pressed: str | None = None
 

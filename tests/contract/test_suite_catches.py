@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers import RobotDriver
+from drivers import EndEffectorCommand, RobotDriver
 from iher_robot.testing import DriverContract
 from tests.contract import bad_gantries as gantries
 from tests.contract import bad_robots as bad
@@ -155,3 +155,17 @@ def test_a_robot_in_real_time_may_be_late_but_never_early() -> None:
     suite = Suite()
     with pytest.raises(AssertionError, match="stamps must rise by the control period"):
         suite.test_every_tick_lasts_a_control_period(suite.make_driver())
+
+
+def test_a_robot_in_real_time_may_miss_a_tick_but_not_every_one() -> None:
+    class Suite(DriverContract):
+        real_time = True
+
+        def make_driver(self) -> RobotDriver:
+            return bad.AlwaysMissesATick()
+
+    suite = Suite()
+    with pytest.raises(AssertionError, match="applied in the tick after the state that it answers"):
+        suite.test_a_command_moves_and_is_reported_in_the_next_state(
+            suite.make_driver(), EndEffectorCommand.kind
+        )

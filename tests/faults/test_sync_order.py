@@ -8,9 +8,11 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pytest
 
+from iher_robot.episode_store import EpisodeReader
 from tests.faults.system_calls import TRACED, Call, read_calls
 from tests.remote.served import PATIENT, ServedRobot
 
@@ -23,12 +25,12 @@ pytestmark = [
 
 INDEX, LEDGER, NOTES = "episodes/index.sqlite-wal", "ledger.sqlite-wal", "ledger.lock"
 EPISODE = re.compile(r"episodes/episode-\d+\.npz")
-_BUDGET_MINUTES, _MOST_TICKS = "0.05", 75 + 2 * 50
+_BUDGET_MINUTES = "0.05"
 
 
 @pytest.fixture(scope="module")
-def calls(tmp_path_factory: pytest.TempPathFactory) -> list[Call]:
-    """Everything that a training run of two epochs on a served robot wrote, synced and sent."""
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training run of two epochs on a served robot, and the trace of its system calls."""
     folder = tmp_path_factory.mktemp("traced")
     trace, run = folder / "trace.txt", folder / "run"
     with ServedRobot(folder / "memory", *PATIENT) as served:
@@ -40,7 +42,13 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> list[Call]:
         command += ["--set", "learner.schedule.updates_per_step=1"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    return read_calls(trace, run)
+    return run
+
+
+@pytest.fixture(scope="module")
+def calls(run: Path) -> list[Call]:
+    """Everything that the run wrote, synced and sent."""
+    return read_calls(run.parent / "trace.txt", run)
 
 
 def positions(calls: Sequence[Call], kind: str, path: str = "") -> list[int]:
@@ -134,9 +142,14 @@ CHECKS: list[tuple[Callable[[Sequence[Call]], None], Call]] = [
 ]
 
 
-def test_the_trace_has_every_command(calls: list[Call]) -> None:
-    assert len(episodes(calls)) == 4
-    assert _MOST_TICKS - 15 <= len(positions(calls, "command")) <= _MOST_TICKS
+def test_the_trace_has_every_command(calls: list[Call], run: Path) -> None:
+    kept = [stored.episode for stored in EpisodeReader(run / "episodes")]
+    sent = [len(commands) for commands, _ in episodes(calls)]
+    assert len(sent) == len(kept) == 4
+    # Of ticks that a busy machine missed, some had a command and some came too late for one.
+    for commands, episode in zip(sent, kept, strict=True):
+        assert episode.valid.sum() <= commands <= len(episode.valid)
+    assert sum(sent) > 100
 
 
 def test_each_tick_is_on_the_disk_before_the_next_command(calls: list[Call]) -> None:
