@@ -34,7 +34,9 @@ def write_manifest(path: Path, *grids: Mapping[str, Any], **head: Any) -> str:
 
 
 def start(manifest: str, out: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "iher_robot", "experiment", manifest, "--out", str(out)]
+    # Tests that were started in the background of a shell pass on that Ctrl-C is ignored.
+    command = ["env", "--default-signal=INT", sys.executable, "-m", "iher_robot", "experiment"]
+    command += [manifest, "--out", str(out)]
     return subprocess.Popen(
         [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
