@@ -22,6 +22,7 @@ from iher_robot.ledger import Ledger
 from iher_robot.policy_file import load_policy
 from iher_robot.provenance import read_provenance
 from iher_robot.run_directory import RunDirectory
+from iher_robot.run_result import read_result
 from tests.in_place import as_if_left_there
 from tests.small_runs import EPOCH_MINUTES, run
 from tests.test_episode_store import make_stored, record
@@ -161,6 +162,7 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "provenance.json",
         lambda folder: read_provenance(folder / "provenance.json"),
     ),
+    "run/result.json": ("result.json", lambda folder: read_result(folder / "result.json")),
     "run/checkpoint.pt": (
         "checkpoint.pt",
         lambda folder: as_text(load_checkpoint(folder / "checkpoint.pt")),
