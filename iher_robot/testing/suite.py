@@ -36,7 +36,7 @@ class ContractSuite(ABC):
     overshoot: ClassVar[float] = 0.1
     """Share by which a measured speed may exceed its limit, since a motor follows its target
     with an error. What is reported as applied may not exceed a limit at all."""
-    speed_error: ClassVar[float] = 0.01
+    speed_error: ClassVar[float] = 0.05
     """By how much the measured speed of a joint may exceed its limit besides, m/s and rad/s:
     fast joints shake the slow ones, and it is measured with an error."""
     position_error: ClassVar[float] = 0.01

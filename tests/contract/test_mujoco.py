@@ -13,7 +13,8 @@ class TestFetchDraggedByAMocapBody(DriverContract):
 
 
 class TestFetchMovedByItsJoints(DriverContract):
-    overshoot = 0.02  # measured: 0.002
+    overshoot = 0.02  # measured: 0.002, and the same in m/s and rad/s for its joints
+    speed_error = 0.01
 
     def make_driver(self) -> RobotDriver:
         return MujocoDriver("push", FetchRobot(actuation="joint"))

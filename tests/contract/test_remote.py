@@ -19,7 +19,7 @@ class TestServedFetch(DriverContract):
     real_time = True
     several = False
     kinds = ("joint",)
-    overshoot = 0.02  # that of the robot behind it
+    overshoot, speed_error = 0.02, 0.01  # those of the robot behind it
     served: ClassVar[ServedRobot]
 
     @pytest.fixture(scope="class", autouse=True)
