@@ -38,7 +38,7 @@ class ContractSuite(ABC):
     with an error. What is reported as applied may not exceed a limit at all."""
     speed_error: ClassVar[float] = 0.05
     """By how much the measured speed of a joint may exceed its limit besides, m/s and rad/s:
-    fast joints shake the slow ones, and it is measured with an error."""
+    it is measured with an error."""
     position_error: ClassVar[float] = 0.01
     """By how much a measured position may exceed its limit, m and rad."""
     kinds: ClassVar[Sequence[str]] = ()
@@ -104,23 +104,27 @@ class ContractSuite(ABC):
         driver.advance()
         return driver.read()
 
-    def is_prompt(self, applied: AppliedCommand, state: RobotState) -> bool:
-        """Whether a command was applied in the next tick, and this is the state at its end.
+    def applied_at_once(self, state: RobotState) -> AppliedCommand | None:
+        """Return what was applied, if it was in the tick after what it answers; else None.
 
-        In real time a test may miss ticks; in a simulation no tick passes unasked.
+        In real time a test may miss ticks. In a simulation no tick passes unasked.
 
         Args:
-            applied: What the state reports.
-            state: The newest one.
+            state: The newest one, after a command that was accepted.
         """
+        applied = state.applied
+        assert applied is not None, "a command that was accepted is reported as applied"
         answered = applied.command.answers
-        prompt = applied.tick == state.seq == answered + 1
-        assert prompt or self.real_time, (
+        assert answered < applied.tick <= state.seq, (
+            f"`applied.tick` is {applied.tick}, not after the state that the command answers, "
+            f"{answered}, or not yet over in state {state.seq}"
+        )
+        at_once = applied.tick == state.seq == answered + 1
+        assert at_once or self.real_time, (
             f"`applied.tick` is the state that ends the tick: the command answers {answered}, "
             f"`applied.tick` is {applied.tick}, and the state after it is {state.seq}"
         )
-        assert answered < applied.tick <= state.seq
-        return prompt
+        return applied if at_once else None
 
     def hold(self, driver: RobotDriver, ticks: int) -> RobotState:
         """Run ticks without a command; return the last state."""

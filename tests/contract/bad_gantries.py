@@ -91,6 +91,20 @@ class TakesTheFirstCommandOfATick(LineRobot):
             super()._apply(command, clipped)
 
 
+class CarriesOutOneAfterTheOther(LineRobot):
+    def __init__(self) -> None:
+        super().__init__()
+        self._queue: list[tuple[Command, tuple[str, ...]]] = []
+
+    def _apply(self, command: Command, clipped: tuple[str, ...]) -> None:
+        self._queue.append((command, clipped))
+
+    def _advance(self) -> None:
+        if self._queue:
+            super()._apply(*self._queue.pop(0))
+        super()._advance()
+
+
 class MovesSlower(LineRobot):
     """Reports a command within the limits as it was asked, and halves it."""
 

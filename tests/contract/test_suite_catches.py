@@ -8,26 +8,30 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers import EndEffectorCommand, RobotDriver
+from drivers import RobotDriver
 from iher_robot.testing import DriverContract
 from tests.contract import bad_gantries as gantries
 from tests.contract import bad_robots as bad
 
 
-def suite_of(make: Callable[[], RobotDriver]) -> DriverContract:
+def suite_of(make: Callable[[], RobotDriver], *, in_real_time: bool) -> DriverContract:
     class Suite(DriverContract):
+        real_time = in_real_time
+
         def make_driver(self) -> RobotDriver:
             return make()
 
     return Suite()
 
 
-def run_test(make: Callable[[], RobotDriver], name: str, **parameters: str) -> None:
+def run_test(
+    make: Callable[[], RobotDriver], name: str, *, real_time: bool = False, **parameters: str
+) -> None:
     """Run one test of the suite as pytest would."""
     driver, other_driver = make(), make()
     parameters["kind"] = driver.spec.command_kinds[0]
     given = {"driver": driver, "other_driver": other_driver, **parameters}
-    test = getattr(suite_of(make), name)
+    test = getattr(suite_of(make, in_real_time=real_time), name)
     test(**{name: given[name] for name in inspect.signature(test).parameters})
 
 
@@ -129,6 +133,7 @@ def run_test(make: Callable[[], RobotDriver], name: str, **parameters: str) -> N
             "a held tick leaves the fingers alone",
         ),
         (gantries.TakesTheFirstCommandOfATick, "the_last_command_of_a_tick_counts", "q_target"),
+        (gantries.CarriesOutOneAfterTheOther, "the_last_command_of_a_tick_counts", "q_target"),
     ],
 )
 def test_a_robot_that_breaks_the_contract_fails_at_the_test_that_names_it(
@@ -146,26 +151,11 @@ def test_every_call_is_tried_in_every_situation() -> None:
 
 
 def test_a_robot_in_real_time_may_be_late_but_never_early() -> None:
-    class Suite(DriverContract):
-        real_time = True
-
-        def make_driver(self) -> RobotDriver:
-            return bad.NeverWaits()
-
-    suite = Suite()
     with pytest.raises(AssertionError, match="stamps must rise by the control period"):
-        suite.test_every_tick_lasts_a_control_period(suite.make_driver())
+        run_test(bad.NeverWaits, "test_every_tick_lasts_a_control_period", real_time=True)
 
 
 def test_a_robot_in_real_time_may_miss_a_tick_but_not_every_one() -> None:
-    class Suite(DriverContract):
-        real_time = True
-
-        def make_driver(self) -> RobotDriver:
-            return bad.AlwaysMissesATick()
-
-    suite = Suite()
+    name = "test_a_command_moves_and_is_reported_in_the_next_state"
     with pytest.raises(AssertionError, match="applied in the tick after the state that it answers"):
-        suite.test_a_command_moves_and_is_reported_in_the_next_state(
-            suite.make_driver(), EndEffectorCommand.kind
-        )
+        run_test(bad.AlwaysMissesATick, name, real_time=True)
