@@ -67,7 +67,7 @@ bench-journal: .venv/dev
 	OMP_NUM_THREADS=1 $(BIN)/python bench/journal.py $(ARGS)
 
 faults: .venv/dev
-	IHER_ROBOT_MUTATIONS=1000 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 tests/test_mutations.py
+	IHER_ROBOT_MUTATIONS=1000 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 tests/storage/test_mutations.py
 	$(BIN)/python -m tests.faults $(ARGS)
 
 format: .venv/dev

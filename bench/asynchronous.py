@@ -27,9 +27,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.programs import host
-from iher_robot.accounts import read_accounts
-from iher_robot.episode_store import EpisodeReader
-from iher_robot.provenance import collect_provenance
+from iher_robot.storage.accounts import read_accounts
+from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.provenance import collect_provenance
 
 PERIOD_S = 0.04
 COLUMNS = (

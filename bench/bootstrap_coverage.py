@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from iher_robot.experiments.numbers import CONFIDENCE, REPETITIONS, estimate
-from iher_robot.provenance import collect_provenance
+from iher_robot.experiments.report.statistics import CONFIDENCE, REPETITIONS, estimate
+from iher_robot.storage.provenance import collect_provenance
 
 EXPERIMENTS = 2_000
 SEEDS = (2, 3, 5, 10, 20)

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers import Kinematics
-from iher_robot.chosen_robot import choose_robot
-from iher_robot.provenance import collect_provenance
+from iher_robot.config.robot import choose_robot
+from iher_robot.storage.provenance import collect_provenance
 from tests.scripted import PickAndPlace, Push, success_rate
 
 

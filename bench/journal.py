@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from iher_robot.collect import Recorder
-from iher_robot.env import GoalRobotEnv, make_env
-from iher_robot.episode_store import EpisodeStore
-from iher_robot.kept_recorder import KeptRecorder
-from iher_robot.ledger import Ledger
-from iher_robot.provenance import commit, machine, versions
-from iher_robot.stored_episode import EpisodeHeader
+from iher_robot.env.goal_env import GoalRobotEnv, make_env
+from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.storage.episode import EpisodeHeader
+from iher_robot.storage.episode_store import EpisodeStore
+from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.provenance import commit, machine, versions
 
 TICKS = 50
 WAYS = ("memory", "kept", "kept durably")

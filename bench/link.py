@@ -31,7 +31,7 @@ from drivers import JointCommand, ResetRequest, StaleState
 from drivers.remote import LinkOptions, ZenohDriver, link_options
 from drivers.remote.client import RobotClient
 from drivers.remote.messages import Empty
-from iher_robot.provenance import collect_provenance
+from iher_robot.storage.provenance import collect_provenance
 
 START_S = 120.0
 PINGS = 500

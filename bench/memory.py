@@ -35,16 +35,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from iher_robot.collect import Recorder
-from iher_robot.config import load_config
-from iher_robot.env import GoalRobotEnv
+from iher_robot.config.run import load_config
+from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.networks import in_blocks
+from iher_robot.learning.networks.mlp import in_blocks
 from iher_robot.learning.replay import BLOCK
-from iher_robot.provenance import collect_provenance
-from iher_robot.workcell import Workcell, open_workcell
+from iher_robot.rollout.episode import Recorder
+from iher_robot.storage.provenance import collect_provenance
+from iher_robot.training.setup import Workcell, open_workcell
 
 TRANSITIONS = 1_000_000
 SOAK_TRANSITIONS = 5_000_000

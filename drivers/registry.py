@@ -89,3 +89,28 @@ def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:
     except TypeError as error:
         raise InvalidSpec(f"driver {name!r} takes no such options: {error}") from error
     return factory(scene=scene, **options)
+
+
+_SCENES = ("push", "reach", "pick_and_place", "slide")
+
+
+def make_in_first_scene(make: Callable[[str], RobotDriver]) -> tuple[str, RobotDriver]:
+    """Make a driver in the first scene that it has.
+
+    Args:
+        make: Makes the driver for a scene.
+
+    Returns:
+        The scene and the driver.
+
+    Raises:
+        ValueError: There is none; what the first was refused with.
+    """
+    refused: ValueError | None = None
+    for scene in _SCENES:
+        try:
+            return scene, make(scene)
+        except ValueError as error:  # InvalidSpec, UserError: what a factory refuses a scene with
+            refused = refused or error
+    assert refused is not None
+    raise refused

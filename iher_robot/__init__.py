@@ -10,9 +10,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from iher_robot.neighbours import require_neighbours
-
-__version__ = "0.1.0"
+from iher_robot._shadowing import require_neighbours
+from iher_robot.version import __version__
 
 require_neighbours("drivers", "tasks")
 
@@ -46,16 +45,16 @@ from drivers import (  # noqa: E402  (only once it is known that these are ours)
     make_driver,
 )
 from iher_robot.env import GoalRobotEnv, make_env  # noqa: E402
+from iher_robot.env.registration import register_envs  # noqa: E402
 from iher_robot.errors import UserError  # noqa: E402
-from iher_robot.registration import register_envs  # noqa: E402
 from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task  # noqa: E402
 
 if TYPE_CHECKING:
-    from iher_robot.deploy import DeployResult, deploy
-    from iher_robot.evaluate import EvaluationResult, evaluate
-    from iher_robot.experiment import ExperimentResult, experiment
-    from iher_robot.report import ReportResult, report
-    from iher_robot.train import TrainResult, resume, train
+    from iher_robot.deployment.deploy import DeployResult, deploy
+    from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
+    from iher_robot.experiments.experiment import ExperimentResult, experiment
+    from iher_robot.experiments.report.report import ReportResult, report
+    from iher_robot.training.train import TrainResult, resume, train
 
 __all__ = [
     "TASKS",
@@ -95,6 +94,7 @@ __all__ = [
     "TaskError",
     "TrainResult",
     "UserError",
+    "__version__",
     "deploy",
     "evaluate",
     "experiment",
@@ -107,28 +107,26 @@ __all__ = [
     "train",
 ]
 
-# These need torch, which takes seconds to load. `train`, `deploy`, `evaluate`, `experiment` and
-# `report` are modules that can be called: see callable_module.py.
+# These need torch, which takes seconds to load.
 _LAZY = {
-    "DeployResult": "iher_robot.deploy",
-    "EvaluationResult": "iher_robot.evaluate",
-    "ExperimentResult": "iher_robot.experiment",
-    "ReportResult": "iher_robot.report",
-    "TrainResult": "iher_robot.train",
-    "deploy": "iher_robot.deploy",
-    "evaluate": "iher_robot.evaluate",
-    "experiment": "iher_robot.experiment",
-    "report": "iher_robot.report",
-    "resume": "iher_robot.train",
-    "train": "iher_robot.train",
+    "DeployResult": "iher_robot.deployment.deploy",
+    "EvaluationResult": "iher_robot.evaluation.evaluate",
+    "ExperimentResult": "iher_robot.experiments.experiment",
+    "ReportResult": "iher_robot.experiments.report.report",
+    "TrainResult": "iher_robot.training.train",
+    "deploy": "iher_robot.deployment.deploy",
+    "evaluate": "iher_robot.evaluation.evaluate",
+    "experiment": "iher_robot.experiments.experiment",
+    "report": "iher_robot.experiments.report.report",
+    "resume": "iher_robot.training.train",
+    "train": "iher_robot.training.train",
 }
 
 
 def __getattr__(name: str) -> object:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = importlib.import_module(_LAZY[name])
-    return home if home.__name__ == f"{__name__}.{name}" else getattr(home, name)
+    return getattr(importlib.import_module(_LAZY[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from iher_robot.cli import main
+from iher_robot.cli.app import main
 
 if __name__ == "__main__":
     sys.exit(main())

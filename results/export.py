@@ -16,10 +16,10 @@ from typing import Any
 import torch
 import yaml
 
-from iher_robot.evaluate import evaluate
-from iher_robot.plot import plot_success
-from iher_robot.provenance import read_provenance
-from iher_robot.run_directory import RunDirectory
+from iher_robot.evaluation.evaluate import evaluate
+from iher_robot.evaluation.plot import plot_success
+from iher_robot.storage.provenance import read_provenance
+from iher_robot.storage.run_directory import RunDirectory
 
 
 def read_run(path: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from iher_robot.plot import success_points
+from iher_robot.evaluation.plot import success_points
 
 
 def minutes_to(rate: float, run: dict[str, Any]) -> float:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import torch
 
-from iher_robot.evaluate import evaluate
-from iher_robot.policy_file import load_policy
-from iher_robot.provenance import collect_provenance
+from iher_robot.evaluation.evaluate import evaluate
+from iher_robot.evaluation.policy_file import load_policy
+from iher_robot.storage.provenance import collect_provenance
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from iher_robot.sealed_json import seal_line
+from iher_robot.storage.files.checksum import seal_line
 
 
 def as_if_left_there(copy: Path) -> Path:

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from iher_robot.accounts import Account
-from iher_robot.chosen_robot import choose_robot
-from iher_robot.config import dump_config, load_config
-from iher_robot.env import GoalRobotEnv
-from iher_robot.episode_store import EpisodeStore
-from iher_robot.interface_file import keep_interface
+from iher_robot.config.robot import choose_robot
+from iher_robot.config.run import dump_config, load_config
+from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.episode import Episode
-from iher_robot.ledger import Ledger
-from iher_robot.provenance import write_provenance
-from iher_robot.run_directory import RunDirectory
-from iher_robot.stored_episode import DONE, StoredEpisode
+from iher_robot.storage.accounts import Account
+from iher_robot.storage.episode import DONE, StoredEpisode
+from iher_robot.storage.episode_store import EpisodeStore
+from iher_robot.storage.interface import keep_interface
+from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.provenance import write_provenance
+from iher_robot.storage.run_directory import RunDirectory
 from tasks import make_task
 
 PERIOD_S = 0.04

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from iher_robot.env import GoalRobotEnv
+from iher_robot.env.goal_env import GoalRobotEnv
 
 Array = NDArray[np.float64]
 Policy = Callable[[Array, Array], Array]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,10 +11,11 @@ from typing import Any
 
 import pytest
 
-import iher_robot.workcell
-from iher_robot.accounts import read_accounts
-from iher_robot.episode_store import EpisodeReader
-from iher_robot.train import TrainResult, train
+from iher_robot.storage.accounts import read_accounts
+from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.training import setup as setup_module
+from iher_robot.training import train as train_module
+from iher_robot.training.train import TrainResult, train
 
 TINY_LEARNER = (
     "learner.schedule.cycles=2",
@@ -86,11 +86,11 @@ def interruption(owner: type, name: str, call: int) -> Iterator[None]:
 
 def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs have their robot and no other to be evaluated on, as with a physical one."""
-    original = iher_robot.workcell.open_workcell
+    original = setup_module.open_workcell
 
     @contextmanager
     def without_simulator(config: Any) -> Iterator[Any]:
         with original(config) as cell:
             yield dataclasses.replace(cell, simulator=None)
 
-    monkeypatch.setattr(sys.modules["iher_robot.train"], "open_workcell", without_simulator)
+    monkeypatch.setattr(train_module, "open_workcell", without_simulator)

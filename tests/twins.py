@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mujoco import MujocoDriver
-from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from tasks.symmetry import PlaneMap
 from tasks.tabletop import OBJECT
 

@@ -44,7 +44,7 @@ from bench.speed.precision import PRECISIONS
 from bench.speed.results import rows, table
 from bench.speed.rounds import run_rounds
 from bench.speed.settings import Settings
-from iher_robot.provenance import collect_provenance
+from iher_robot.storage.provenance import collect_provenance
 
 TOPICS = {
     "updates": updates.comparisons,

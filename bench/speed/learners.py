@@ -9,11 +9,11 @@ from itertools import islice
 from bench.memory import record, variations
 from bench.speed.precision import Precision
 from bench.speed.settings import Settings
-from iher_robot.config import load_config
-from iher_robot.env import make_env
+from iher_robot.config.run import load_config
+from iher_robot.env.goal_env import make_env
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
-from iher_robot.workcell import make_learner
+from iher_robot.training.setup import make_learner
 from tasks import GoalTask
 
 OURS = "iher_robot"

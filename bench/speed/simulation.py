@@ -18,13 +18,13 @@ from bench.speed.comparison import Comparison, Contender, Kind, Target
 from bench.speed.learners import learner_of_push
 from bench.speed.official import make_official
 from bench.speed.settings import Settings
-from iher_robot.config import load_config
-from iher_robot.env import GoalRobotEnv, make_env
+from iher_robot.config.run import load_config
+from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.policy import Policy
-from iher_robot.simulator_pool import SimulatorPool
-from iher_robot.workcell import CPU
+from iher_robot.rollout.simulators.pool import SimulatorPool
+from iher_robot.training.setup import CPU
 
 EPISODE_TICKS = 50
 RATIO = 1.3

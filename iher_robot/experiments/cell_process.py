@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 
 from iher_robot.experiments.folder import hold_cell, tail
-from iher_robot.held_file import HeldFile
-from iher_robot.run_directory import RunDirectory
-from iher_robot.run_result import read_result
+from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.run_directory import RunDirectory
+from iher_robot.storage.run_result import read_result
 
 # The kernel sends SIGTERM when the thread that started it is gone, however it went; the run then
 # ends in order. -P and sys.path: see learner_process.py.
@@ -30,7 +30,7 @@ if os.getppid() != int(sys.argv[2]):
     sys.exit("the experiment is gone")
 sys.path[:] = json.loads(sys.argv[1])
 sys.argv[:] = ["iher-robot", *sys.argv[3:]]
-from iher_robot.cli import main
+from iher_robot.cli.app import main
 main()
 """
 """What the process runs."""

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from iher_robot.durable_file import read_file
 from iher_robot.errors import UserError
-from iher_robot.experiments.cells import Identity
+from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.manifest import Manifest
-from iher_robot.experiments.origin import cells_of, read_origin, write_origin
-from iher_robot.held_file import HeldFile, hold_patiently, read_note
-from iher_robot.run_directory import RunDirectory
+from iher_robot.experiments.metadata import cells_of, read_origin, write_origin
+from iher_robot.storage.files.atomic import read_file
+from iher_robot.storage.files.lock import HeldFile, hold_patiently, read_note
+from iher_robot.storage.run_directory import RunDirectory
 
 NOT_BEGUN = "not begun"
 """State of a cell that has no run."""

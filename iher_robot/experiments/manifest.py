@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from iher_robot.config_source import Layer, experiment_layer, is_yaml_file
+from iher_robot.config.layers import Layer, experiment_layer, is_yaml_file
+from iher_robot.config.section import Section, parse_section
 from iher_robot.errors import UserError
-from iher_robot.experiments.search_section import Search, parse_search
-from iher_robot.experiments.sections import Section, parse_section
+from iher_robot.experiments.search_space import Search, parse_search
 from iher_robot.learning.config import OR_OFF
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._]*(-[A-Za-z0-9._]+)*")

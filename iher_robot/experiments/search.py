@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping
 from statistics import fmean
 from typing import Any
 
-from iher_robot.durable_file import write_atomically
-from iher_robot.experiments.cells import Cell, Identity, expand_grid
+from iher_robot.evaluation.plot import success_points
+from iher_robot.experiments.grid import Cell, Identity, expand_grid
 from iher_robot.experiments.manifest import Manifest
-from iher_robot.experiments.running import Running
-from iher_robot.experiments.search_section import Search
-from iher_robot.experiments.study import distributions_of, is_whole, open_study
-from iher_robot.plot import success_points
+from iher_robot.experiments.runner import Running
+from iher_robot.experiments.search_space import Search
+from iher_robot.experiments.study_part import distributions_of, is_whole, open_study
+from iher_robot.storage.files.atomic import write_atomically
 
 
 class SearchRun:

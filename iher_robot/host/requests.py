@@ -21,12 +21,12 @@ from drivers.remote.messages import (
     StopRequest,
 )
 from drivers.wire import WireError, pack, unpack
-from iher_robot import __version__
 from iher_robot.errors import UserError
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.memory import RobotTotal
+from iher_robot.host.persistence import RobotTotal
 from iher_robot.host.served_robot import ServedRobot
+from iher_robot.version import __version__
 
 log = logging.getLogger(__name__)
 

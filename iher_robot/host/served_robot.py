@@ -18,11 +18,11 @@ from drivers import (
 )
 from drivers.clock import Clock
 from drivers.errors import InvalidRequest
+from drivers.registry import make_in_first_scene
 from drivers.remote.messages import POSE_SIZES, ObjectMessage
 from drivers.state import AppliedCommand
 from iher_robot.errors import UserError
-from iher_robot.host.first_scene import make_in_first_scene
-from iher_robot.host.memory import RobotMemory
+from iher_robot.host.persistence import RobotMemory
 
 PERCEPTION = "perception"
 """Source of poses that another publisher than the robot sends."""

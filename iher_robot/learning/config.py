@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from iher_robot.learning.precision import Precision
+from iher_robot.learning.networks.precision import Precision
 
 
 def _none_if_off(value: object) -> object:

@@ -11,12 +11,12 @@ from typing import Any
 import torch
 from torch import nn
 
-from iher_robot.learning.captured import Captured, Tensors
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.critics import Critics
-from iher_robot.learning.flat import Flat
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.peers import ALONE, Peers
+from iher_robot.learning.networks.critics import Critics
+from iher_robot.learning.networks.cuda_graphs import Captured, Tensors
+from iher_robot.learning.networks.data_parallel import ALONE, Peers
+from iher_robot.learning.networks.flat_parameters import Flat
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import Transitions
 

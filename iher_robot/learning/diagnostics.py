@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, GoalModel
-from iher_robot.learning.imagination import imagine
+from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
+from iher_robot.learning.imagination.rollout import imagine
 from iher_robot.learning.learner import Learner
 
 HORIZONS = (1, 10, 50)

@@ -9,17 +9,17 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
-from iher_robot.learning.contact import ContactLearner
-from iher_robot.learning.contact_model import ContactModel
+from iher_robot.learning.contact.learner import ContactLearner
+from iher_robot.learning.contact.model import ContactModel
 from iher_robot.learning.ddpg import DDPG
-from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.explorer import Explorer
+from iher_robot.learning.exploration import Explorer
 from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
-from iher_robot.learning.imaginary_source import ImaginarySource, Progress
-from iher_robot.learning.intrinsic import refresh_intrinsic
-from iher_robot.learning.meter import Meter
-from iher_robot.learning.peers import ALONE, Peers, require_equal_shares
+from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
+from iher_robot.learning.imagination.intrinsic import refresh_intrinsic
+from iher_robot.learning.imagination.source import ImaginarySource, Progress
+from iher_robot.learning.metrics import Meter
+from iher_robot.learning.networks.data_parallel import ALONE, Peers, require_equal_shares
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import BLOCK, EpisodeReplay, Transitions
 from iher_robot.learning.symmetry import Symmetry, augment

@@ -10,9 +10,9 @@ from torch import nn
 
 from iher_robot.learning.config import ExplorationConfig, LearnerConfig
 from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
-from iher_robot.learning.networks import forward, in_blocks, mlp
-from iher_robot.learning.normalizer import RunningNormalizer
-from iher_robot.learning.precision import products_of
+from iher_robot.learning.networks.mlp import forward, in_blocks, mlp
+from iher_robot.learning.networks.normalizer import RunningNormalizer
+from iher_robot.learning.networks.precision import products_of
 
 
 class Policy:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.goal_model import GoalModel, Shapes
-from iher_robot.learning.peers import Peers, own_rows
+from iher_robot.learning.networks.data_parallel import Peers, own_rows
 
 BLOCK = 40
 """Updates whose batches are drawn together: it costs little more than to draw one."""

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from iher_robot.experiments.cells import Cell, expand
 from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import read_manifest
-from iher_robot.report import report
-from iher_robot.run_result import RunResult, write_result
+from iher_robot.experiments.report.report import report
+from iher_robot.storage.run_result import RunResult, write_result
 from tests.experiments.small import write_manifest
 from tests.run_folders import make_run
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from iher_robot.yaml_text import format_yaml
+from iher_robot.config.yaml import format_yaml
 from tests.small_runs import TINY
 
 SETTINGS = dict(setting.split("=") for setting in TINY if "hidden" not in setting)

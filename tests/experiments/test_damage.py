@@ -10,8 +10,8 @@ import pytest
 
 from iher_robot.errors import UserError
 from iher_robot.experiments.folder import ExperimentFolder
-from iher_robot.report import report
-from iher_robot.sealed_json import seal
+from iher_robot.experiments.report.report import report
+from iher_robot.storage.files.checksum import seal
 from tests.experiments.made import commit, make_experiment, unsealed
 
 pytest.importorskip("pandas")

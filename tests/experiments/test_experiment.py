@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,11 @@ from typing import Any
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.experiment import experiment
+from iher_robot.experiments import experiment as experiment_module
+from iher_robot.experiments.experiment import experiment
 from iher_robot.experiments.folder import ExperimentFolder, hold_cell
-from iher_robot.held_file import FileHeld, HeldFile
-from iher_robot.run_result import read_result
+from iher_robot.storage.files.lock import FileHeld, HeldFile
+from iher_robot.storage.run_result import read_result
 from tests.experiments.small import (
     EPOCH_MINUTES,
     TINY_SETTINGS,
@@ -24,7 +24,7 @@ from tests.experiments.small import (
     start,
     write_manifest,
 )
-from tests.remote.served import eventually
+from tests.served.served_robot import eventually
 
 LONG = {"budgets": [0.27], "seeds": [0, 1]}  # 4 epochs
 CELLS = ("reach-her-matched-paper-seed0", "reach-her-matched-paper-seed1")
@@ -33,7 +33,7 @@ CELLS = ("reach-her-matched-paper-seed0", "reach-her-matched-paper-seed1")
 @pytest.fixture(autouse=True)
 def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports have tests of their own."""
-    monkeypatch.setattr(sys.modules["iher_robot.experiment"], "report", lambda folder: "none")
+    monkeypatch.setattr(experiment_module, "report", lambda folder: "none")
 
 
 def test_an_experiment_that_is_killed_goes_on(tmp_path: Path) -> None:

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from iher_robot.config import load_config
-from iher_robot.config_source import experiment_names
+from iher_robot.config.layers import experiment_names
+from iher_robot.config.run import load_config
+from iher_robot.config.yaml import format_yaml
 from iher_robot.errors import UserError
-from iher_robot.experiments import findings
-from iher_robot.experiments.cells import Cell, expand
-from iher_robot.experiments.differences import differences
+from iher_robot.experiments.differences_part import differences
+from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import read_manifest
-from iher_robot.yaml_text import format_yaml
+from iher_robot.experiments.report import findings
 
 GRID = {"tasks": ["reach"]}
 

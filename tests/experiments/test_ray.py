@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.experiment import experiment
+from iher_robot.experiments.experiment import experiment
 from iher_robot.experiments.folder import ExperimentFolder
 from tests.experiments.small import (
     EPOCH_MINUTES,
@@ -19,7 +19,7 @@ from tests.experiments.small import (
     start,
     write_manifest,
 )
-from tests.remote.served import eventually, free_port
+from tests.served.served_robot import eventually, free_port
 
 pytest.importorskip("ray")
 

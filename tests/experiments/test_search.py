@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.experiments.board import Board
 from iher_robot.experiments.cell_process import Order, Outcome
-from iher_robot.experiments.cells import Cell, expand
 from iher_robot.experiments.executor import LocalExecutor
 from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import read_manifest
-from iher_robot.experiments.running import Running
+from iher_robot.experiments.progress import Board
+from iher_robot.experiments.runner import Running
 from tests.experiments.small import write_manifest
 from tests.run_folders import make_run
 
@@ -47,7 +47,7 @@ def with_any_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     def look(folder: ExperimentFolder, cell: Cell) -> str:
         return "finished" if folder.run(cell.name).path.exists() else "new"
 
-    monkeypatch.setattr("iher_robot.experiments.running.prepare", look)
+    monkeypatch.setattr("iher_robot.experiments.runner.prepare", look)
 
 
 class Instant(LocalExecutor):

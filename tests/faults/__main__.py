@@ -16,7 +16,7 @@ from pathlib import Path
 
 import typer
 
-from iher_robot.provenance import collect_provenance
+from iher_robot.storage.provenance import collect_provenance
 from tests.faults.campaign import Campaign, deal
 from tests.faults.moments import Kind
 from tests.faults.small_disk import enter_namespace, why_no_disk

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from iher_robot.ledger import Ledger
+from iher_robot.storage.ledger import Ledger
 from tests.faults.host_log import HostLog
 from tests.faults.killed_run import KilledRun, Place
 from tests.faults.moments import JUMPING_CLOCK, SLOW_DISK, Kind, draw_moment
 from tests.faults.preloaded import build_jumping_clock, build_library
 from tests.faults.small_disk import SmallDisk
 from tests.faults.violation import Violation
-from tests.remote.served import ServedRobot
+from tests.served.served_robot import ServedRobot
 
 KILLS_PER_RUN = 5
 _SHARES = {

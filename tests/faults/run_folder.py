@@ -13,11 +13,11 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from iher_robot.checkpoint import load_checkpoint
-from iher_robot.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
-from iher_robot.ledger import Ledger
-from iher_robot.policy_fit import load_actor
-from iher_robot.stored_episode import DONE, StoredEpisode
+from iher_robot.evaluation.compatibility import load_actor
+from iher_robot.storage.checkpoint import load_checkpoint
+from iher_robot.storage.episode import DONE, StoredEpisode
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.ledger import Ledger
 from tests.faults.host_log import LoggedTick
 from tests.faults.violation import Violation
 from tests.in_place import as_if_left_there

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.faults.moments import Kind
+from tests.repository import ROOT
 
 pytestmark = pytest.mark.real_time
 
@@ -34,7 +34,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [sys.executable, "-m", "tests.faults", "--kills", str(len(KINDS)), "--seed", _SEED]
     command += [word for kind in KINDS for word in ("--only", kind.name)]
     command += ["--budget-minutes", _BUDGET_MINUTES, "--folder", str(folder), "--out", str(out)]
-    root = Path(__file__).parents[2]
+    root = ROOT
     done = subprocess.run(
         command, cwd=root, capture_output=True, text=True, timeout=600, check=False
     )

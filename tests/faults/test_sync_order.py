@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from iher_robot.episode_store import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeReader
 from tests.faults.system_calls import TRACED, Call, read_calls
-from tests.remote.served import PATIENT, ServedRobot
+from tests.served.served_robot import PATIENT, ServedRobot
 
 pytestmark = [
     pytest.mark.real_time,

@@ -14,7 +14,7 @@ from drivers.remote.messages import command_fields
 from drivers.wire import pack
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.memory import RobotMemory
+from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from iher_robot.host.channel import Note
-from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import RobotTotal
+from iher_robot.host.control_loop import ControlLoop
+from iher_robot.host.network.channel_part import Note
+from iher_robot.host.persistence import RobotTotal
 from tests.host.test_timing import Bench
 
 FLOOD = 5000

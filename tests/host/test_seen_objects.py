@@ -9,7 +9,7 @@ import pytest
 
 from drivers import InvalidRequest, SimulatedClock
 from drivers.remote.messages import ObjectMessage
-from iher_robot.host.memory import RobotMemory
+from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 

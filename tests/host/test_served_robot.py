@@ -17,7 +17,7 @@ from drivers import (
     SimulatedClock,
 )
 from drivers.remote.messages import ObjectMessage
-from iher_robot.host.memory import RobotMemory
+from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
 

@@ -14,16 +14,16 @@ import pytest
 
 from drivers import EndEffectorCommand, SimulatedClock
 from iher_robot import UserError
-from iher_robot.host.channel import Channel, channel_ends
-from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import RobotMemory, RobotTotal
+from iher_robot.host.control_loop import ControlLoop
+from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.network.channel_part import Channel, channel_ends
+from iher_robot.host.persistence import RobotMemory, RobotTotal
+from iher_robot.host.serve import serve
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
 from iher_robot.host.tick_log import TickLog
-from iher_robot.host.vital import Vitals
-from iher_robot.serve import serve
 from tests.drivers.fake_robot import FakeRobot
-from tests.remote.served import eventually
+from tests.served.served_robot import eventually
 
 
 class Bench:

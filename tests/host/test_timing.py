@@ -11,12 +11,12 @@ import pytest
 from drivers import ResetRequest, ResetResult, SimulatedClock
 from drivers.remote.messages import Empty, LeaseRequest, Reply, ResetMessage
 from drivers.wire import Message, pack, unpack
-from iher_robot.host.channel import Channel, Note, channel_ends
-from iher_robot.host.loop import ControlLoop
-from iher_robot.host.memory import RobotMemory, RobotTotal
+from iher_robot.host.control_loop import ControlLoop
+from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.network.channel_part import Channel, Note, channel_ends
+from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
-from iher_robot.host.vital import Vitals
 from tests.drivers.fake_robot import PERIOD_NS, FakeRobot
 
 

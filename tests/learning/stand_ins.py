@@ -11,9 +11,9 @@ import numpy as np
 import torch
 
 from iher_robot.learning.config import DynamicsConfig, ExplorationConfig, LearnerConfig
-from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import REAL
+from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import EpisodeReplay
 from tests.learning.point_mass import SHAPES, STEP, small_config

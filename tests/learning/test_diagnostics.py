@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from iher_robot.learning.diagnostics import HORIZONS, diagnose, imagined_success, open_loop_error
-from iher_robot.learning.dynamics import DynamicsEnsemble
 from iher_robot.learning.episode import Episode
+from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.learner import Learner
 from tests.learning.point_mass import SHAPES, PointMassGoals, rollout
 from tests.learning.stand_ins import (

@@ -16,7 +16,7 @@ from torch import nn
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.networks import LARGEST_BLOCK
+from iher_robot.learning.networks.mlp import LARGEST_BLOCK
 from iher_robot.learning.replay import EpisodeReplay
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.quick_learner import HER, new, quick, real

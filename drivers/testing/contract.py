@@ -1,0 +1,36 @@
+"""The whole contract, as one class of tests."""
+
+from __future__ import annotations
+
+from drivers.testing.commands import CommandTests
+from drivers.testing.excess import ExcessTests
+from drivers.testing.following import FollowingTests
+from drivers.testing.lifecycle import LifecycleTests
+from drivers.testing.resets import ResetTests
+from drivers.testing.states import StateTests
+from drivers.testing.stopping import StopTests
+from drivers.testing.ticks import TickTests
+
+
+class DriverContract(
+    LifecycleTests,
+    StopTests,
+    TickTests,
+    StateTests,
+    CommandTests,
+    FollowingTests,
+    ExcessTests,
+    ResetTests,
+):
+    """Tests that every driver passes unchanged.
+
+    A subclass among a driver's tests says how to make the driver, and may declare what is
+    different about it (`real_time`, `several`, tolerances)::
+
+        class TestMyRobot(DriverContract):
+            def make_driver(self) -> RobotDriver:
+                return MyRobot()
+
+    Tests that send commands run once for each kind that the driver's spec declares. The suite
+    moves the robot, at full speed and far: clear the workspace of a real one.
+    """

@@ -1,0 +1,1 @@
+"""Command line: parses options, calls the applications, prints results."""

@@ -1,0 +1,64 @@
+"""The commands ``iher-robot budget show`` and ``grant``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.options import ConnectOption, OwnRobotOption
+from iher_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from iher_robot.datasets.robot_time import Spending
+
+budget = typer.Typer(name="budget")
+
+
+@budget.callback(invoke_without_command=True)
+def without_a_command(context: typer.Context) -> None:
+    """Show what robot time was spent, and grant more of it."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@budget.command()
+def show(
+    run: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RUN]", help="Folder of a run.", show_default=False),
+    ] = None,
+    robot: OwnRobotOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Show what a run has spent and has left; without a run, the total of a served robot."""
+    with told_when_interrupted(None):
+        from iher_robot.config.robot import choose_own_robot
+        from iher_robot.datasets.robot_time import spending_of_robot, spending_of_run
+
+        if run is None:
+            _print(spending_of_robot(choose_own_robot(None, robot, connect or ())))
+        elif robot is None and not connect:
+            _print(spending_of_run(run))
+        else:
+            raise UserError(f"name a run ({run}), or a robot by --robot and --connect, not both")
+
+
+@budget.command()
+def grant(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.", show_default=False)],
+    minutes: Annotated[float, typer.Argument(help="Robot minutes of motion.", show_default=False)],
+) -> None:
+    """Give a run more robot minutes; train --resume goes on to spend them."""
+    with told_when_interrupted(None):
+        from iher_robot.datasets.robot_time import grant as grant_minutes
+
+        _print(grant_minutes(run, minutes))
+
+
+def _print(spending: Spending) -> None:
+    from iher_robot.datasets.tables import print_tables, spending_table
+
+    print_tables(spending_table(spending))

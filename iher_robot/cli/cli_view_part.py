@@ -1,0 +1,47 @@
+"""The command ``iher-robot view``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.options import AcceptInterfaceOption, DriverOption, RobotOption
+
+
+def view(
+    task: Annotated[
+        str | None,
+        typer.Option(help="What is shown, by default what the policy is for.", show_default=False),
+    ] = None,
+    policy: Annotated[
+        Path | None,
+        typer.Option(help="What acts; without one the robot holds still.", show_default=False),
+    ] = None,
+    driver: DriverOption = None,
+    robot: RobotOption = None,
+    seed: Annotated[int, typer.Option(help="Seed of starts and goals.")] = 0,
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            help="Episodes to show, by default until the window is closed.", show_default=False
+        ),
+    ] = None,
+    accept_interface: AcceptInterfaceOption = False,
+) -> None:
+    """Watch a task in MuJoCo's viewer, in real time; needs a display."""
+    with told_when_interrupted(None):
+        from iher_robot.evaluation.view import view as view_task
+
+        result = view_task(
+            task=task,
+            driver=driver,
+            robot=robot,
+            policy=policy,
+            seed=seed,
+            episodes=episodes,
+            accept_interface=accept_interface,
+        )
+    typer.echo(result.summary())

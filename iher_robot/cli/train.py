@@ -1,0 +1,158 @@
+"""The command ``iher-robot train``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
+from iher_robot.errors import UserError
+from iher_robot.training.learners.torchrun import read_place
+
+_BESIDE_RESUME = {"resume", "display", "simulators", "video"}
+
+
+def train(
+    context: typer.Context,
+    task: Annotated[
+        str | None, typer.Option(help="reach, push, pick-and-place or slide.", show_default=False)
+    ] = None,
+    driver: DriverOption = None,
+    robot: RobotOption = None,
+    connect: ConnectOption = None,
+    budget_minutes: Annotated[
+        float | None,
+        typer.Option(help="Robot minutes to spend, by default the preset's.", show_default=False),
+    ] = None,
+    preset: Annotated[
+        str, typer.Option(help="Settings: default, paper or a YAML file.")
+    ] = "default",
+    algo: Annotated[str, typer.Option(help="iher, her or her-matched.")] = "iher",
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of every draw of the run.")] = 0,
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="DIR", help="Folder to make for the run, by default under runs/."),
+    ] = None,
+    resume: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
+        ),
+    ] = None,
+    from_data: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIR",
+            help="Begin with the real episodes of an earlier run; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    until_success: Annotated[
+        str, typer.Option(help="Stop when two evaluations in a row reach this rate, or off.")
+    ] = "1.0",
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    asynchronous: Annotated[
+        bool | None,
+        typer.Option(
+            "--async/--sync",
+            help="Learn in a process of its own while the robot moves, or in turn with it.",
+            show_default=False,
+        ),
+    ] = None,
+    simulators: Annotated[
+        int | None,
+        typer.Option(
+            help="Simulated robots side by side, each on a core of its own.", show_default=False
+        ),
+    ] = None,
+    video: Annotated[
+        bool, typer.Option("--video", help="Film the final policy; needs the extra 'video'.")
+    ] = False,
+    display: Annotated[
+        bool, typer.Option("--display/--quiet", " /--no-display", help="The live display.")
+    ] = True,
+) -> None:
+    """Learn a task within a budget of robot minutes and leave a policy."""
+    place = read_place()
+    if place is not None and place.rank:
+        from iher_robot.training.learners.distributed_worker import main as learn_with_others
+
+        learn_with_others(place)
+        return
+    folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
+    if stopped is not None:
+        _refuse_settings_beside_resume(context)
+        with told_when_interrupted(stopped):
+            from iher_robot.training.train import resume as resume_run
+
+            result = resume_run(stopped, simulators=simulators, display=display, video=video)
+        typer.echo(result.summary())
+        return
+    if task is None:
+        raise UserError("no task given; name one with --task, or a stopped run with --resume")
+    until = _success_threshold(until_success)
+    with told_when_interrupted(folder):
+        from iher_robot.training.train import train as train_run
+
+        result = train_run(
+            task=task,
+            driver=driver,
+            robot=robot,
+            connect=connect or (),
+            preset=preset,
+            algo=algo,
+            budget_minutes=budget_minutes,
+            overrides=overrides or (),
+            seed=seed,
+            out=folder,
+            until_success=until,
+            device=device,
+            asynchronous=asynchronous,
+            simulators=simulators,
+            display=display,
+            video=video,
+            from_data=from_data or (),
+        )
+    typer.echo(result.summary())
+
+
+def _success_threshold(text: str) -> float | None:
+    if text.strip().lower() == "off":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise UserError(
+            f"--until-success is {text!r}, allowed: off or a finite number, above 0 and up to 1"
+        ) from None
+
+
+def _folder(text: str | None, option: str) -> Path | None:
+    if text is not None and not text.strip():
+        raise UserError(f"{option} is {text!r}, allowed: the path of a folder")
+    return None if text is None else Path(text)
+
+
+def _refuse_settings_beside_resume(context: typer.Context) -> None:
+    given = [
+        option.opts[0]
+        for option in context.command.params
+        if option.name not in _BESIDE_RESUME and _is_given(context, option.name)
+    ]
+    if given:
+        raise UserError(
+            f"--resume continues a run exactly as it was configured: leave out {', '.join(given)}, "
+            "or start a new run without --resume"
+        )
+
+
+def _is_given(context: typer.Context, name: str | None) -> bool:
+    source = context.get_parameter_source(name) if name else None
+    return source is not None and source.name != "DEFAULT"

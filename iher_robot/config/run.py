@@ -1,0 +1,241 @@
+"""Settings of a run: typed defaults, overlaid by a preset, an algorithm and ``--set``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from iher_robot.config.keys import Keys
+from iher_robot.config.layers import (
+    Layer,
+    algorithm_layer,
+    is_yaml_file,
+    option_layer,
+    override_layer,
+    preset_layer,
+)
+from iher_robot.config.robot import ChosenRobot, choose_robot
+from iher_robot.config.yaml import format_yaml, parse_mapping
+from iher_robot.errors import UserError
+from iher_robot.learning.config import OR_OFF, LearnerConfig
+from iher_robot.storage.files.atomic import read_file
+
+_CHOSEN = {
+    "task": "--task",
+    "preset": "--preset",
+    "algo": "--algo",
+    "robot": "--robot",
+    "robot_options": "--robot",
+    "from_data": "--from-data",
+}
+
+
+_CHANGES_NOTHING = ("simulators",)
+"""Settings that no number of a run depends on; it may go on with others."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class EvaluationConfig(_Section):
+    """How the policy is judged while it trains."""
+
+    every_epochs: int = Field(default=1, ge=1)
+    """Epochs from one evaluation to the next."""
+    episodes: int = Field(default=40, ge=1)
+    """Episodes of one evaluation in simulation."""
+    robot_episodes: int = Field(default=10, ge=1)
+    """Episodes of one evaluation on a robot that has no simulator of its own."""
+    final_episodes: int = Field(default=100, ge=0)
+    """Fresh episodes for the policy that a run ends with, in simulation; 0 for none."""
+
+
+class RunConfig(_Section):
+    """Everything that decides what a training run does."""
+
+    task: str = "push"
+    """What is learned."""
+    driver: str = "mujoco"
+    """What moves."""
+    robot: str = ""
+    """Whose options the driver was given: a name, or the path of a file."""
+    robot_options: dict[str, Any] = {}
+    """These options, as they were read when the run began."""
+    preset: str = "default"
+    """Where the settings came from."""
+    algo: str = "iher"
+    """Which ingredients are switched on."""
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    """Decides every random draw."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where replay, models and policy live; auto takes a GPU if there is one."""
+    threads: int = Field(default=1, ge=1, le=1024)
+    """Threads of torch's matrix products on the CPU. With more than there are idle cores, waiting
+    for a busy one costs most of the speed."""
+    asynchronous: bool = False
+    """Learn in a process of its own while the robot collects the next epoch, instead of in turn."""
+    simulators: int = Field(default=1, ge=1, le=64)
+    """Simulated robots that collect and are evaluated side by side, each in a process of its own;
+    what they do is the same for any number. 1 for any other robot."""
+    budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
+    """Robot minutes: control ticks times the control period; at most about two years."""
+    from_data: tuple[str, ...] = ()
+    """Folders of earlier runs whose real episodes the learner begins with."""
+    until_success: Annotated[float | None, OR_OFF] = Field(default=1.0, gt=0, le=1)
+    """Stop early at this success rate; ``off`` spends the whole budget."""
+    patience_minutes: float = Field(default=10.0, ge=0, allow_inf_nan=False)
+    """Wall-clock minutes to wait for a robot that is lost, taken or stopped; then the run ends and
+    can be resumed."""
+    evaluation: EvaluationConfig = EvaluationConfig()
+    learner: LearnerConfig = LearnerConfig()
+
+    @property
+    def chosen_robot(self) -> ChosenRobot:
+        """The robot of the run."""
+        return ChosenRobot(self.driver, self.robot, self.robot_options)
+
+
+_KEYS = Keys(RunConfig)
+
+
+def load_config(
+    task: str,
+    preset: str,
+    algo: str,
+    overrides: Sequence[str],
+    options: Mapping[str, object] = MappingProxyType({}),
+    robot: str | None = None,
+    connect: Sequence[str] = (),
+    from_data: Sequence[str] = (),
+) -> RunConfig:
+    """Resolve the settings of a new run; later layers win.
+
+    Args:
+        task: Name of the task.
+        preset: Name of a preset, or the path of a YAML file.
+        algo: Name of an algorithm.
+        overrides: ``key=value`` each, such as ``learner.ddpg.gamma=0.95``.
+        options: Settings that have an option of their own, which errors name: budget_minutes,
+            seed, device, until_success, driver, asynchronous, simulators.
+        robot: Name of a shipped robot or of one on the network, or the path of a YAML file; the
+            driver's default where None.
+        connect: Where to reach a robot on the network; what its file says where empty.
+        from_data: Folders of earlier runs to begin with.
+
+    Returns:
+        Typed defaults, then the preset's file for the task, the algorithm's, the options and the
+        overrides.
+
+    Raises:
+        UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
+    """
+    layers = [
+        preset_layer(preset, task),
+        algorithm_layer(algo),
+        *(option_layer(key, value) for key, value in options.items()),
+        *map(override_layer, overrides),
+    ]
+    for layer in layers:
+        for key, option in _CHOSEN.items():
+            if key in layer.values:
+                raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
+    given = {"task": task, "preset": preset, "algo": algo, "from_data": list(from_data)}
+    chosen = Layer("command line", given)
+    # Any layer may name the driver, and the driver says which robot is the default. Where none
+    # does, the robot's file may.
+    resolved = _resolve([*layers, chosen])
+    named = any("driver" in layer.values for layer in layers)
+    chosen_robot = choose_robot(resolved.driver if named else None, robot, connect)
+    settings = {
+        "driver": chosen_robot.driver,
+        "robot": chosen_robot.name,
+        "robot_options": chosen_robot.options,
+    }
+    return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
+
+
+def dump_config(config: RunConfig) -> str:
+    """Write every setting as YAML, for ``read_config``."""
+    return format_yaml(config.model_dump(mode="json"))
+
+
+def plain_identity(config: RunConfig) -> dict[str, Any]:
+    """Every setting that a run depends on, as plain values."""
+    return config.model_dump(mode="json", exclude=set(_CHANGES_NOTHING))
+
+
+def dump_identity(config: RunConfig) -> str:
+    """Write every setting that a run depends on as YAML: the same for a run that may go on."""
+    return format_yaml(plain_identity(config))
+
+
+def change_simulators(config: RunConfig, simulators: int) -> RunConfig:
+    """The same settings with another number of simulators.
+
+    Args:
+        config: Settings of a run.
+        simulators: The number, as the option gives it.
+
+    Raises:
+        UserError: It is out of range.
+    """
+    given = Layer("settings of the run", config.model_dump(mode="json"))
+    return _resolve([given, option_layer("simulators", simulators)])
+
+
+def read_config(path: Path) -> RunConfig:
+    """Read what ``dump_config`` wrote; the result equals the dumped settings exactly.
+
+    Raises:
+        UserError: The file is missing, not valid YAML, or incomplete, or holds unknown keys, bad
+            values, or a preset or an algorithm that does not exist.
+    """
+    layer = Layer(str(path), parse_mapping(read_file(path, "config file"), str(path)))
+    given = _KEYS.flatten(layer)
+    missing = [key for key in _KEYS.leaves if key not in (*given, *_CHANGES_NOTHING)]
+    if missing:
+        # Not filled up with defaults: the run would go on as another one than it was.
+        raise UserError(
+            f"{path} has no {missing[0]}: it is damaged, or from another version of iher-robot; "
+            "restore it as it was, or start a new run"
+        )
+    config = _resolve([layer])
+    try:
+        algorithm_layer(config.algo)
+        if not is_yaml_file(config.preset):  # one's own may be gone; its values are all here
+            preset_layer(config.preset, config.task)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from error
+    return config
+
+
+def _resolve(layers: Sequence[Layer]) -> RunConfig:
+    values: dict[str, Any] = {}
+    origins: dict[str, Layer] = {}
+    for layer in layers:
+        for key, value in _KEYS.flatten(layer).items():
+            values[key], origins[key] = value, layer
+            if _has_non_finite(value):
+                raise UserError(_KEYS.out_of_range(key, value, layer))
+    try:
+        # Through JSON, for its strict mode: a list is a tuple, but true is no number and "3" is
+        # no integer.
+        text = json.dumps(_KEYS.nest(values), default=str)
+        return RunConfig.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        raise UserError("; ".join(_KEYS.explain(error, origins))) from None
+
+
+def _has_non_finite(value: object) -> bool:
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    if isinstance(value, Mapping):
+        return any(map(_has_non_finite, value.values()))
+    return isinstance(value, list) and any(map(_has_non_finite, value))

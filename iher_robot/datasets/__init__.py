@@ -1,0 +1,1 @@
+"""Data of finished and running runs: inspect, verify, export."""

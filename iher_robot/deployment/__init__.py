@@ -1,0 +1,1 @@
+"""Operator commands on a robot: deploy, doctor, home, stop, clear-fault."""

@@ -1,0 +1,118 @@
+"""What happened in one control tick, as learning and the budget must see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import Acceptance, Refusal, RobotState
+from iher_robot.env.controller import Controller
+
+CONTROLLER = "controller"
+"""What is reported as clipped where kinematics or the workspace let the controller ask for less."""
+
+NO_SOLUTION = "no_solution"
+"""What is reported as refusal where the controller found no command to send."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """One control tick.
+
+    Attributes:
+        action_applied: The action that was really applied, in [-1, 1]; zeros if none was.
+            ``(action_dim,)``
+        valid: Whether it may be learned from: the command answered the state before, was in
+            force in this very tick, and no tick is missing in between.
+        elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
+        clipped: Why the robot clipped the command, or ``"controller"`` where the controller
+            could not ask it for all of the action.
+        late: Whether it shows a slow link: ticks passed unseen, the command expired, or it was
+            accepted and yet not applied in time.
+        acceptance: What the robot said to the command, None if there was no command.
+    """
+
+    action_applied: NDArray[np.float32]
+    valid: bool
+    elapsed: int
+    clipped: tuple[str, ...]
+    late: bool
+    acceptance: Acceptance | None
+
+    def info(self) -> dict[str, object]:
+        """Return what an environment reports of it."""
+        return {
+            "action_applied": self.action_applied,
+            "tick_valid": self.valid,
+            "ticks": self.elapsed,
+            "clipped": self.clipped,
+            "refusal": NO_SOLUTION if self.acceptance is None else self.acceptance.refusal,
+        }
+
+
+def judge_tick(
+    requested: NDArray[np.floating],
+    before: RobotState,
+    after: RobotState,
+    acceptance: Acceptance | None,
+    controller: Controller,
+) -> Tick:
+    """Compare what was asked with what the robot says it did.
+
+    Args:
+        requested: The action, in [-1, 1]. ``(action_dim,)``
+        before: The state that the command answered.
+        after: The state at the end of the tick; the same as before if none came.
+        acceptance: What the robot said to the command, None if there was no command.
+        controller: Made the command.
+    """
+    elapsed = after.seq - before.seq
+    applied = after.applied
+    action = np.asarray(requested, dtype=np.float32)
+    if applied is None or applied.tick != after.seq or elapsed < 1:
+        late = elapsed > 1 or _came_late(acceptance)
+        return Tick(np.zeros_like(action), False, max(1, elapsed), (), late, acceptance)
+    asked, action = action, controller.applied_action(action, applied, before)
+    clipped = applied.clipped
+    if not clipped and (action != asked).any():
+        clipped = (CONTROLLER,)
+    valid = elapsed == 1 and applied.command.answers == before.seq
+    late = elapsed > 1 or (not valid and _came_late(acceptance))
+    return Tick(action, valid, elapsed, clipped, late, acceptance)
+
+
+def _came_late(acceptance: Acceptance | None) -> bool:
+    """Whether a command that was not applied had been sent in order."""
+    if acceptance is None:
+        return False
+    return acceptance.accepted or acceptance.refusal is Refusal.EXPIRED
+
+
+class InvalidTicks:
+    """Counts the ticks of an episode that may not be learned from.
+
+    Args:
+        allowed: How many an episode may have.
+    """
+
+    def __init__(self, allowed: int) -> None:
+        self.allowed = allowed
+        self.count = 0
+        self.late = 0
+
+    def add(self, tick: Tick) -> None:
+        """Count a tick, if it is invalid."""
+        self.count += not tick.valid
+        self.late += tick.late
+
+    @property
+    def too_many(self) -> bool:
+        """Whether there are more than are allowed."""
+        return self.count > self.allowed
+
+    @property
+    def mostly_late(self) -> bool:
+        """Whether most of them show a slow link."""
+        return 2 * self.late > self.count

@@ -1,0 +1,1 @@
+"""Evaluation of a policy: success rate, film, viewer, policy files."""

@@ -1,0 +1,243 @@
+"""Measure a policy over fresh episodes: the application behind ``iher-robot evaluate``."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from scipy.stats import binomtest
+
+from iher_robot.config.robot import DEFAULT_DRIVER, ChosenRobot, choose_robot
+from iher_robot.env.goal_env import EpisodeAborted
+from iher_robot.errors import UserError
+from iher_robot.evaluation.compatibility import Actor, check_fit, load_actor
+from iher_robot.evaluation.video import Film, film
+from iher_robot.learning.goal_model import REAL
+from iher_robot.rollout.episode import Stream, choose_action, episode_seed
+
+FILMED_EPISODES = 10
+"""Episodes of an evaluation that a film shows, the first ones."""
+
+_OFFICIAL = {
+    "reach": "FetchReach-v4",
+    "push": "FetchPush-v4",
+    "pick_and_place": "FetchPickAndPlace-v4",
+    "slide": "FetchSlide-v4",
+}
+
+AnyEnv = gym.Env[Any, Any]
+_OFFICIAL_ROBOT = (DEFAULT_DRIVER, "fetch-mocap")
+
+
+def rate_with_interval(successes: int, episodes: int) -> str:
+    """Write a success rate with its 95 % interval (Wilson).
+
+    Args:
+        successes: Episodes that succeeded.
+        episodes: Episodes run, at least 1.
+    """
+    interval = binomtest(successes, episodes).proportion_ci(method="wilson")
+    share = f"{successes / episodes:.0%}"
+    return f"{share} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What a policy did.
+
+    Attributes:
+        task: The task.
+        environment: Where it ran.
+        successes: Episodes whose last step met the goal.
+        episodes: Episodes run.
+        warnings: What differs between the policy's robot and this one.
+        video: The film, if there is one.
+    """
+
+    task: str
+    environment: str
+    successes: int
+    episodes: int
+    warnings: tuple[str, ...]
+    video: Path | None
+
+    @property
+    def success_rate(self) -> float:
+        """Share of successful episodes."""
+        return self.successes / self.episodes
+
+    @property
+    def rate(self) -> str:
+        """The success rate with its 95 % interval (Wilson)."""
+        return rate_with_interval(self.successes, self.episodes)
+
+    def summary(self) -> str:
+        """The result in a few lines."""
+        lines = [f"warning: {warning}" for warning in self.warnings]
+        lines.append(
+            f"{self.task} in {self.environment}: {self.successes} of {self.episodes} episodes "
+            f"succeeded, {self.rate}"
+        )
+        if self.video is not None:
+            filmed = min(self.episodes, FILMED_EPISODES)
+            shown = "the first episode" if filmed == 1 else f"the first {filmed} episodes"
+            lines.append(f"video   {self.video}, {shown}")
+        return "\n".join(lines)
+
+
+def evaluate(
+    policy: Path,
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    official: bool = False,
+    driver: str | None = None,
+    robot: str | None = None,
+    connect: Sequence[str] = (),
+    task: str | None = None,
+    video: Path | None = None,
+    accept_interface: bool = False,
+) -> EvaluationResult:
+    """Run a policy without noise over fresh episodes; success counts at the last step.
+
+    Args:
+        policy: The policy file.
+        episodes: How many episodes.
+        seed: Decides starts and goals, apart from those of any training run.
+        official: Run in gymnasium-robotics' own environment instead of on a driver.
+        driver: Name of the robot driver; by default what the robot's file names, or ``mujoco``.
+        robot: Name of a robot, or the path of a YAML file; the driver's default where None.
+        connect: Where to reach a robot on the network; what its file says where empty.
+        task: The task that the policy is expected to be for; any where None.
+        video: File to film the first episodes to.
+        accept_interface: Run a policy that was trained for another interface all the same, on
+            a simulated robot.
+
+    Returns:
+        What the policy did.
+
+    Raises:
+        UserError: Bad input, or a policy that does not fit the robot.
+    """
+    if episodes < 1:
+        raise UserError(f"episodes is {episodes}, allowed: 1 or more")
+    if seed < 0:
+        raise UserError(f"seed is {seed}, allowed: 0 or more")
+    elsewhere = driver not in (None, DEFAULT_DRIVER) or connect
+    if official and (elsewhere or robot is not None):
+        named = f"driver is {driver!r}" if robot is None else f"robot is {robot!r}"
+        if connect:
+            named = f"--connect is {connect[0]!r}"
+        raise UserError(
+            f"{named}, but the official environment is gymnasium-robotics' own simulation; leave "
+            "out --driver and --robot, or --official"
+        )
+    actor = load_actor(policy, task)
+    if official:
+        return _evaluate_officially(actor, episodes=episodes, seed=seed, video=video)
+    return evaluate_on(
+        choose_robot(driver, robot, connect),
+        actor,
+        episodes=episodes,
+        seed=seed,
+        video=video,
+        accept_interface=accept_interface,
+    )
+
+
+def evaluate_on(
+    robot: ChosenRobot,
+    actor: Actor,
+    *,
+    episodes: int,
+    seed: int,
+    video: Path | None = None,
+    accept_interface: bool = False,
+) -> EvaluationResult:
+    """Run a policy on a robot; see ``evaluate``.
+
+    Args:
+        robot: The robot.
+        actor: The policy.
+        episodes: How many episodes.
+        seed: Decides starts and goals, apart from those of any training run.
+        video: File to film the first episodes to.
+        accept_interface: Run it on another interface all the same, on a simulated robot.
+
+    Returns:
+        What the policy did.
+
+    Raises:
+        UserError: A robot that the policy does not fit, or a film that cannot be made.
+    """
+    with ExitStack() as stack:
+        shots = None if video is None else stack.enter_context(film(video))
+        env = stack.enter_context(robot.make_env(actor.task.name, _render_mode(video)))
+        warnings = check_fit(actor, env, accept_interface=accept_interface)
+        successes = _successes(env, actor, episodes, seed, shots)
+    return EvaluationResult(actor.task.name, robot.title, successes, episodes, warnings, video)
+
+
+def _evaluate_officially(
+    actor: Actor, *, episodes: int, seed: int, video: Path | None
+) -> EvaluationResult:
+    name = _OFFICIAL[actor.task.name]
+    # The official environment has no specification of its own; this robot is its equal.
+    with choose_robot(*_OFFICIAL_ROBOT).make_env(actor.task.name) as equal:
+        warnings = check_fit(actor, equal, accept_interface=True)
+    with ExitStack() as stack:
+        shots = None if video is None else stack.enter_context(film(video))
+        env = stack.enter_context(closing(_official_env(name, _render_mode(video))))
+        successes = _successes(env, actor, episodes, seed, shots)
+    return EvaluationResult(actor.task.name, name, successes, episodes, warnings, video)
+
+
+def _render_mode(video: Path | None) -> str | None:
+    return None if video is None else "rgb_array"
+
+
+def _successes(env: AnyEnv, actor: Actor, episodes: int, seed: int, shots: Film | None) -> int:
+    return sum(
+        _episode(
+            env,
+            actor,
+            seed=episode_seed(seed, Stream.FINAL_EVALUATION, index),
+            shots=shots if index < FILMED_EPISODES else None,
+        )
+        for index in range(episodes)
+    )
+
+
+def _official_env(name: str, render_mode: str | None) -> AnyEnv:
+    # Importing the package prints notices about environments that are not ours.
+    with redirect_stderr(io.StringIO()):
+        import gymnasium_robotics
+    gym.register_envs(gymnasium_robotics)
+    return gym.make(name, render_mode=render_mode)
+
+
+def _episode(env: AnyEnv, actor: Actor, *, seed: int, shots: Film | None) -> bool:
+    observation, _ = env.reset(seed=seed)
+    success = False
+    if shots is not None:
+        shots.take(env, success)
+    for _ in range(actor.task.episode_ticks):
+        action = choose_action(actor.policy, observation, REAL)[0].numpy()
+        try:
+            observation, _, _, truncated, info = env.step(action)
+        except EpisodeAborted:
+            success = False
+            break
+        success = bool(info["is_success"])
+        if shots is not None:
+            shots.take(env, success)
+        if truncated:
+            break
+    if shots is not None:
+        shots.linger()
+    return success

@@ -1,0 +1,211 @@
+"""Run an experiment of many cells: the application behind ``iher-robot experiment``."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from iher_robot.errors import UserError, unknown_name
+from iher_robot.experiments.cell_process import Outcome
+from iher_robot.experiments.executor import Executor, LocalExecutor
+from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.grid import Cell, expand
+from iher_robot.experiments.manifest import Manifest, read_manifest
+from iher_robot.experiments.preparing_part import prepare
+from iher_robot.experiments.progress import Board
+from iher_robot.experiments.report.report import ReportResult, report
+from iher_robot.experiments.runner import Running
+from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.provenance import collect_provenance
+
+EXECUTORS = ("local", "ray")
+DEFAULT_FOLDER = Path("runs/experiments")
+
+
+@dataclass(frozen=True)
+class ExperimentResult:
+    """How an experiment ended.
+
+    Attributes:
+        folder: Its folder.
+        outcomes: How each cell ended.
+        logs: What each cell that did not finish printed, by name.
+        report: The report, or why there is none.
+    """
+
+    folder: Path
+    outcomes: tuple[Outcome, ...]
+    logs: dict[str, Path]
+    report: ReportResult | str
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """Cells that did not finish."""
+        return tuple(outcome for outcome in self.outcomes if outcome.ending != "finished")
+
+    @property
+    def complete(self) -> bool:
+        """Whether every cell has finished and there is a report."""
+        return not self.failed and isinstance(self.report, ReportResult)
+
+    def summary(self) -> str:
+        """The result in a few lines."""
+        total = len(self.outcomes)
+        lines = [f"{total - len(self.failed)} of {total} cells finished: {self.folder}"]
+        lines += [
+            f"{outcome.ending:<8}{outcome.name}: {outcome.reason}, see {self.logs[outcome.name]}"
+            for outcome in self.failed
+        ]
+        told = self.report if isinstance(self.report, str) else self.report.summary()
+        return "\n".join([*lines, told])
+
+
+def experiment(
+    manifest: str,
+    *,
+    out: Path | None = None,
+    executor: str = "local",
+    workers: int | None = None,
+    address: str | None = None,
+    ship: bool = False,
+    only: Sequence[str] = (),
+    display: bool = True,
+) -> ExperimentResult:
+    """Run every cell of a manifest that has not finished yet, and report.
+
+    Args:
+        manifest: Name of a shipped experiment, or the path of a YAML file.
+        out: Folder of the experiment; by default one of its name in ``runs/experiments``. One
+            that is there goes on.
+        executor: ``local`` runs cells as processes of this machine, ``ray`` on a Ray cluster.
+        workers: Cells side by side with ``local``; by default one for each core.
+        address: Of the Ray cluster; by default that of the environment, or a new one here.
+        ship: With ``ray``, run cells on the disks of the nodes, even where they see `out`.
+        only: Patterns such as ``push-*-seed0``: only cells whose names match one of them are run.
+        display: Show progress.
+
+    Returns:
+        How it ended; cells that failed are told of, and do not end the others.
+
+    Raises:
+        UserError: Bad input; no cell has been started.
+    """
+    read = read_manifest(manifest)
+    cells = expand(read)
+    folder = ExperimentFolder(out or DEFAULT_FOLDER / Path(manifest).stem)
+    options = _Options(executor, workers, address, ship)
+    options.check(cells)
+    chosen = _choose(read, cells, only)
+    again = f"iher-robot {shlex.join(sys.argv[1:])}"
+    with folder.hold() as lock:
+        try:
+            outcomes = _run(read, cells, chosen, folder, options, lock, display=display)
+        except KeyboardInterrupt as error:
+            error.add_note(f"continue with: {again}")
+            raise
+        told = _report(folder)
+    logs = {outcome.name: folder.log(outcome.name) for outcome in outcomes}
+    return ExperimentResult(folder.path, outcomes, logs, told)
+
+
+@dataclass(frozen=True)
+class _Options:
+    executor: str
+    workers: int | None
+    address: str | None
+    ship: bool
+
+    def check(self, cells: Sequence[Cell]) -> None:
+        """Refuse what does not go together."""
+        if self.executor not in EXECUTORS:
+            raise unknown_name("executor", self.executor, EXECUTORS)
+        if self.workers is not None and self.workers < 1:
+            raise UserError(f"--workers is {self.workers}, allowed: an integer, 1 or more")
+        if self.executor == "ray":
+            if self.workers is not None:
+                raise UserError(
+                    "--workers is for --executor local; the nodes of a Ray cluster say how many "
+                    "cores they have; leave it out"
+                )
+            for cell in cells:
+                if not cell.simulated:
+                    raise UserError(
+                        f"cell {cell.name} moves {cell.identity.robot}, which cells must not "
+                        "share; use --executor local"
+                    )
+        elif self.address is not None or self.ship:
+            raise UserError("--address and --ship are for --executor ray; leave them out")
+
+    def make(self, cells: Sequence[Cell], lock: HeldFile) -> Executor:
+        """Make the executor."""
+        if self.executor == "ray":
+            from iher_robot.experiments.ray import RayExecutor
+
+            return RayExecutor(lock.path, self.address, ship=self.ship)
+        if not all(cell.simulated for cell in cells):
+            return LocalExecutor(1, "one at a time, since they share a robot")
+        return LocalExecutor(self.workers or len(os.sched_getaffinity(0)))
+
+
+def _choose(manifest: Manifest, cells: Sequence[Cell], only: Sequence[str]) -> Sequence[Cell]:
+    if not only:
+        return cells
+    if manifest.search is not None:
+        raise UserError("--only is for the cells of grids, and this is a search; leave it out")
+    for pattern in only:
+        if not any(fnmatchcase(cell.name, pattern) for cell in cells):
+            raise UserError(
+                f"--only is {pattern!r}, which is the name of none of the {len(cells)} cells, such "
+                f"as {cells[0].name}"
+            )
+    return [cell for cell in cells if any(fnmatchcase(cell.name, pattern) for pattern in only)]
+
+
+def _run(
+    manifest: Manifest,
+    cells: Sequence[Cell],
+    chosen: Sequence[Cell],
+    folder: ExperimentFolder,
+    options: _Options,
+    lock: HeldFile,
+    *,
+    display: bool,
+) -> tuple[Outcome, ...]:
+    now = datetime.datetime.now().astimezone()
+    provenance = collect_provenance(["iher-robot", *sys.argv[1:]], 0, now)
+    del provenance["seed"]  # each cell has its own
+    board = Board(manifest.title, enabled=display)
+    with options.make(cells, lock) as executor:
+        running = Running(folder, executor, board)
+        if manifest.search is None:
+            running.prepare(chosen)
+            for cell in cells:
+                if cell not in chosen:  # it is in the report, too
+                    prepare(folder, cell)
+            folder.begin(manifest, provenance, [cell.identity for cell in cells])
+            board.say(f"{manifest.title}: {len(chosen)} cells, {executor.title}, in {folder.path}")
+            with board:
+                running.submit(chosen)
+                while running.busy:
+                    running.wait()
+        else:
+            from iher_robot.experiments.search import SearchRun
+
+            search = SearchRun(manifest, manifest.search, running)
+            folder.begin(manifest, provenance, search.identities)
+            with board:
+                search.run()
+    return tuple(running.outcomes.values())
+
+
+def _report(folder: ExperimentFolder) -> ReportResult | str:
+    try:
+        return report(folder.path)
+    except UserError as error:
+        return f"no report: {error}"

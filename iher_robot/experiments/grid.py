@@ -1,0 +1,209 @@
+"""Cells of an experiment: each is one training run."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from iher_robot.config.robot import DEFAULT_DRIVER
+from iher_robot.config.run import RunConfig, load_config
+from iher_robot.errors import UserError
+from iher_robot.experiments.differences_part import differences
+from iher_robot.experiments.manifest import Grid, Manifest
+from tasks import TaskError, canonical_name
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What tells a cell from the others.
+
+    Attributes:
+        task: Name of the task.
+        robot: Driver and robot, in words.
+        algo: Name of the algorithm.
+        preset: Name of the preset, of a file its stem.
+        variant: Name of the variant, empty for none.
+        budget: Robot minutes where the grid has several budgets, else None.
+        seed: Seed of the run.
+    """
+
+    task: str
+    robot: str
+    algo: str
+    preset: str
+    variant: str
+    budget: float | None
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of the cell's folder."""
+        budget = None if self.budget is None else f"{self.budget:g}min"
+        parts = (self.task, self.algo, self.preset, self.variant, budget, f"seed{self.seed}")
+        return "-".join(part for part in parts if part)
+
+    @property
+    def method(self) -> Identity:
+        """The same for all seeds of a method."""
+        return replace(self, seed=0)
+
+    def as_row(self) -> dict[str, Any]:
+        """Its attributes by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A training run of an experiment.
+
+    Attributes:
+        identity: What tells it from the others.
+        config: Its settings, resolved.
+        options: The options of ``iher-robot train`` that give these settings.
+    """
+
+    identity: Identity
+    config: RunConfig
+    options: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the cell's folder."""
+        return self.identity.name
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is known to have a robot of its own, which no other cell can move."""
+        return self.config.driver == DEFAULT_DRIVER
+
+
+@dataclass(frozen=True)
+class _Choice:
+    grid: Grid
+    task: str
+    algo: str
+    preset: str
+    variant: str
+    budget: float | None
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def expand(manifest: Manifest) -> tuple[Cell, ...]:
+    """Make every cell of a manifest; nothing is written.
+
+    Raises:
+        UserError: The settings of a cell, or what a search may draw, are not allowed; two cells
+            have one name; or two would count as seeds of one method, though they differ in more.
+    """
+    cells: dict[str, Cell] = {}
+    methods: dict[Identity, Cell] = {}
+    for grid in manifest.grids:
+        for cell in expand_grid(grid, manifest.origin):
+            if cell.name in cells:
+                raise UserError(
+                    f"{manifest.origin}: two cells are called {cell.name}; give one of them a "
+                    "variant with another name"
+                )
+            cells[cell.name] = cell
+            _require_one_method(methods.setdefault(cell.identity.method, cell), cell, manifest)
+    if manifest.search is not None:
+        for settings in manifest.search.ends():
+            for grid in manifest.grids:
+                for _ in expand_grid(grid, f"{manifest.origin}, search", settings):
+                    pass  # it is the error that is asked for
+    return tuple(cells.values())
+
+
+def _require_one_method(first: Cell, cell: Cell, manifest: Manifest) -> None:
+    found = differences(first.config, cell.config)
+    found.pop("seed", None)
+    if found:
+        key, (one, other) = next(iter(found.items()))
+        raise UserError(
+            f"{manifest.origin}: {first.name} and {cell.name} would count as two seeds of one "
+            f"method, but {key} is {one!r} in the first and {other!r} in the second; give it a "
+            "variant name, under variants, in one of their grids"
+        )
+
+
+def expand_grid(
+    grid: Grid, origin: str, settings: Mapping[str, Any] | None = None, variant: str = ""
+) -> Iterator[Cell]:
+    """Make every cell of a grid.
+
+    Args:
+        grid: The grid.
+        origin: Where it is from, for messages.
+        settings: More settings, which count before all others.
+        variant: Their name, put before those of the grid's variants.
+
+    Raises:
+        UserError: The settings of a cell are not allowed.
+    """
+    for task, algo, preset, (name, changed), budget, seed in itertools.product(
+        grid.tasks,
+        grid.algos,
+        grid.presets,
+        (grid.variants or {"": {}}).items(),
+        grid.budgets or (None,),
+        grid.seeds,
+    ):
+        named = "-".join(filter(None, (variant, name)))
+        all_settings = {**grid.settings, **changed, **(settings or {})}
+        choice = _Choice(grid, task, algo, preset, named, budget, seed, all_settings)
+        try:
+            yield _make_cell(choice)
+        except (UserError, TaskError) as error:
+            place = ", ".join(filter(None, (task, algo, preset, named)))
+            raise UserError(f"{origin}, {place}: {error}") from error
+
+
+def _make_cell(choice: _Choice) -> Cell:
+    grid, task = choice.grid, canonical_name(choice.task)
+    overrides = [f"{key}={json.dumps(value)}" for key, value in choice.settings.items()]
+    given: dict[str, object] = {
+        "seed": choice.seed,
+        "device": grid.device,
+        "until_success": grid.until_success,
+    }
+    if grid.driver is not None:
+        given["driver"] = grid.driver
+    if choice.budget is not None:
+        given["budget_minutes"] = choice.budget
+    config = load_config(
+        task, choice.preset, choice.algo, overrides, given, grid.robot, grid.connect
+    )
+    identity = Identity(
+        task=task,
+        robot=config.chosen_robot.title,
+        algo=choice.algo,
+        preset=Path(choice.preset).stem,
+        variant=choice.variant,
+        budget=choice.budget if len(grid.budgets) > 1 else None,
+        seed=config.seed,
+    )
+    return Cell(identity, config, tuple(_options(choice, task, overrides)))
+
+
+def _options(choice: _Choice, task: str, overrides: list[str]) -> Iterator[str]:
+    """Options of ``iher-robot train``, in the order of its help."""
+    grid = choice.grid
+    yield from ("--task", task)
+    if grid.driver is not None:
+        yield from ("--driver", grid.driver)
+    if grid.robot is not None:
+        yield from ("--robot", grid.robot)
+    for endpoint in grid.connect:
+        yield from ("--connect", endpoint)
+    if choice.budget is not None:
+        yield from ("--budget-minutes", repr(choice.budget))
+    yield from ("--preset", choice.preset, "--algo", choice.algo)
+    for override in overrides:
+        yield from ("--set", override)
+    until = "off" if grid.until_success is None else repr(grid.until_success)
+    yield from ("--seed", str(choice.seed), "--until-success", until, "--device", grid.device)

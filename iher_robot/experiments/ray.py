@@ -1,0 +1,104 @@
+"""Cells as tasks of a Ray cluster."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Collection
+from concurrent.futures import Future, wait
+from pathlib import Path
+from typing import Any
+
+from iher_robot.errors import UserError
+from iher_robot.experiments.cell_process import Order, Outcome
+from iher_robot.experiments.executor import END_S, Executor
+from iher_robot.experiments.ray_task_part import Place, run_on_node
+
+NEEDED = "pip install 'iher-robot[ray]'"
+
+_CONNECT_S = 10.0
+
+RETRIES = 10
+"""How often a cell is given to another node after its own was lost."""
+
+
+class RayExecutor(Executor):
+    """Cells as tasks that take one core each, on whichever node of a cluster has one.
+
+    A node that sees the folder of the experiment at the same path runs a cell there: when a node
+    is lost, another one goes on from the last epoch, and so does a later experiment. A node that
+    does not see it runs the cell on a disk of its own and ships small files of it back once it
+    has finished: when that node is lost, its cells begin anew.
+
+    Args:
+        lock: File in the experiment's folder by which a node tells whether it sees it.
+        address: Of the cluster; None for that of the environment, or a new one on this machine.
+        ship: Never run a cell in the experiment's folder.
+    """
+
+    def __init__(self, lock: Path, address: str | None, *, ship: bool) -> None:
+        try:
+            import ray
+        except ImportError as error:
+            raise UserError(f"--executor ray needs Ray (the extra 'ray'): {NEEDED}") from error
+        self._ray = ray
+        self._mine = not ray.is_initialized()  # not of a program that uses Ray itself
+        if self._mine:
+            _join(ray, address)
+        content = lock.read_bytes()
+        self._place = Place(
+            lock=lock.absolute(), digest=hashlib.sha256(content).hexdigest(), ship=ship
+        )
+        self.slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        self.title = f"on a Ray cluster of {len(ray.nodes())} nodes and {self.slots} cores"
+        # A task that its worker died in is retried by Ray; one that fails says so by itself.
+        self._task: Callable[..., Any] = ray.remote(num_cpus=1, max_retries=RETRIES)(run_on_node)
+        self._orders: dict[Future[Outcome], tuple[Order, Any]] = {}
+
+    @property
+    def running(self) -> Collection[str]:
+        """Names of the cells that have begun in a folder which is seen from here."""
+        return {
+            order.name
+            for future, (order, _) in self._orders.items()
+            if not future.done() and order.run.exists()
+        }
+
+    def submit(self, order: Order) -> Future[Outcome]:
+        """Hand over a cell; it begins when a node has a free core."""
+        reference = self._task.remote(order.absolute(), self._place)  # type: ignore[attr-defined]
+        future: Future[Outcome] = reference.future()
+        self._orders[future] = (order, reference)
+        return future
+
+    def close(self) -> None:
+        """Interrupt the cells that run, and leave the cluster; twice does nothing."""
+        if not self._ray.is_initialized():
+            return
+        pending = {f: reference for f, (_, reference) in self._orders.items() if not f.done()}
+        for reference in pending.values():
+            self._ray.cancel(reference, force=False)
+        if pending:
+            wait(pending, timeout=END_S)
+        if self._mine:
+            self._ray.shutdown()
+
+
+def _join(ray: Any, address: str | None) -> None:
+    host, colon, port = (address or "").rpartition(":")
+    try:
+        if colon and port.isdigit():  # Ray itself would try for minutes
+            socket.create_connection((host, int(port)), timeout=_CONNECT_S).close()
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        handler = signal.getsignal(signal.SIGTERM)
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)  # Ray has put its own
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(
+            f"cannot use the Ray cluster {address or 'of this machine'}: {reason}"
+        ) from error

@@ -1,0 +1,1 @@
+"""Reports of an experiment: tables, statistics, figures and pages."""

@@ -1,0 +1,206 @@
+"""The report of an experiment: Markdown, and the same as one HTML file."""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import importlib.resources
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import markupsafe
+from markdown_it import MarkdownIt
+
+from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.report import formatting as words
+from iher_robot.experiments.report import provenance as sources
+from iher_robot.experiments.report.figures import draw_minutes, draw_success
+from iher_robot.experiments.report.findings import (
+    RATES,
+    Method,
+    baseline_of,
+    find_methods,
+    over_tasks,
+    ratio_to_baseline,
+)
+from iher_robot.experiments.report.statistics import LEAST_TRIMMED, REPETITIONS
+from iher_robot.experiments.report.tables import read_tables
+from iher_robot.experiments.report.trial_table_part import trial_rows
+from iher_robot.storage.files.atomic import read_file, write_atomically
+
+
+def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, Path]:
+    """Write report and figures, from the tables alone.
+
+    Args:
+        folder: The experiment.
+        out: Folder to write to.
+        made: When, in words.
+
+    Returns:
+        The Markdown and the HTML file.
+
+    Raises:
+        UserError: A table is missing or damaged, an extra is missing, or the system refuses.
+    """
+    origin = folder.read_origin()
+    evaluations, runs = read_tables(folder)
+    methods = find_methods(evaluations, runs)
+    figures = _Figures(out, folder.figures_path.name)
+    rows = runs.to_dict("records")
+    text = _template("report.md.j2").render(
+        title=words.plain(origin["title"]),
+        description=origin["description"],
+        state=sources.state(rows),
+        tasks=[_task(task, group, figures) for task, group in methods.items()],
+        overall=[
+            [
+                words.plain(one.label),
+                one.seeds,
+                words.span(one.robot_minutes),
+                words.estimate(one.iqm),
+                words.estimate(one.mean),
+            ]
+            for one in over_tasks(methods)
+        ],
+        trials=trial_rows(folder.trials_path),
+        repetitions=f"{REPETITIONS:,}",
+        scipy=importlib.metadata.version("scipy"),
+        facts=sources.facts(origin, rows),
+        commands=sources.commands(origin),
+        runs=list(map(sources.run_row, rows)),
+        made=made,
+    )
+    markdown, html = out / "report.md", out / "report.html"
+    page = _template("report.html.j2").render(
+        title=origin["title"], body=markupsafe.Markup(_as_html(text, figures))
+    )
+    write_atomically(markdown, lambda file: file.write(text.encode()))
+    write_atomically(html, lambda file: file.write(page.encode()))
+    return markdown, html
+
+
+def _template(name: str) -> jinja2.Template:
+    source = importlib.resources.files(__package__).joinpath("templates", name).read_text()
+    environment = jinja2.Environment(
+        autoescape=".html." in name,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.from_string(source)
+
+
+class _Figures:
+    """Pictures of a report.
+
+    Args:
+        out: Folder of the report.
+        name: Folder within it where they go.
+
+    Attributes:
+        paths: Those that were drawn, by what the report calls them.
+    """
+
+    def __init__(self, out: Path, name: str) -> None:
+        self.paths: dict[str, Path] = {}
+        self._folder = out / name
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def draw(self, methods: Sequence[Method], task: str, title: str) -> dict[str, str]:
+        """Draw those of a task, and return what the report calls them."""
+        found = {}
+        for name, draw in (("success", draw_success), ("minutes", draw_minutes)):
+            path = self._folder / f"{task}-{name}.png"
+            draw(methods, path, title)
+            found[f"{name}_figure"] = called = f"{self._folder.name}/{path.name}"
+            self.paths[called] = path
+        return found
+
+
+def _as_html(markdown: str, figures: _Figures) -> str:
+    """Render Markdown with the report's pictures within.
+
+    What looks like HTML in it is text, and so is any other picture: it would be a file of whoever
+    makes the report, or a request to somebody else.
+    """
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = reader.parse(markdown)
+    for token in tokens:
+        for inner in token.children or ():
+            if inner.type == "image":
+                path = figures.paths.get(str(inner.attrs["src"]))
+                if path is None:
+                    inner.type, inner.tag = "text", ""
+                else:
+                    data = base64.b64encode(read_file(path, "figure")).decode()
+                    inner.attrs["src"] = f"data:image/png;base64,{data}"
+    page = str(reader.renderer.render(tokens, reader.options, {}))
+    return page.replace("<table>", '<div class="table"><table>').replace(
+        "</table>", "</table></div>"
+    )
+
+
+def _task(task: str, methods: Sequence[Method], figures: _Figures) -> dict[str, Any]:
+    title = task.replace("_", " ").capitalize()
+    found: dict[str, Any] = {
+        "title": title,
+        "rows": [_method(method, methods) for method in methods if method.runs],
+        "missing": [words.plain(cell) for method in methods for cell in method.missing],
+        "baselines": _baselines(methods),
+    }
+    return found | (figures.draw(methods, task, title) if found["rows"] else {})
+
+
+def _baselines(methods: Sequence[Method]) -> list[str]:
+    """What the baseline of the ratios is."""
+    labels = [
+        words.plain(baseline.label)
+        for method in methods
+        if (baseline := baseline_of(method, methods)) is not None and baseline is not method
+    ]
+    return list(dict.fromkeys(labels))
+
+
+def _method(method: Method, others: Sequence[Method]) -> list[str]:
+    count = len(method.runs)
+    of_all = f"{method.finished} of {count + len(method.missing)} finished"
+    return [
+        words.plain(method.label),
+        str(count) if method.whole else of_all,
+        *(words.minutes_to(method.minutes_to(rate)) for rate in RATES),
+        words.ratio(ratio_to_baseline(method, others, RATES[-1])),
+        words.estimate(method.last("iqm")),
+        words.estimate(method.last("mean")) if count >= LEAST_TRIMMED else "",
+        words.percents(method.last_rates) if count > 1 else "",
+        _final(method),
+        words.span(method.robot_minutes) + _stop(method),
+        _evaluations(method),
+        words.duration(method.wall_seconds),
+    ]
+
+
+def _stop(method: Method) -> str:
+    rates = dict.fromkeys(run.until_success for run in method.runs)
+    told = [words.percent(rate) for rate in rates if rate is not None]
+    return f" (stops at {' or '.join(told)} %)" if told else ""
+
+
+def _evaluations(method: Method) -> str:
+    """How often it was evaluated, and by how many episodes."""
+    spacings = [run.spacing_minutes for run in method.runs]
+    episodes = dict.fromkeys(str(run.episodes) for run in method.runs)
+    return f"{words.span((min(spacings), max(spacings)))} min, {' or '.join(episodes)} episodes"
+
+
+def _final(method: Method) -> str:
+    """Success of the final policies, in the order of the seeds."""
+    finals = [run.final for run in method.runs]
+    if not any(finals):
+        return words.UNKNOWN
+    return ", ".join(
+        words.UNKNOWN if final is None else "{} of {}".format(*final) for final in finals
+    )

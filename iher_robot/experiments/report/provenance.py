@@ -1,0 +1,83 @@
+"""Where an experiment comes from, as its report tells it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from iher_robot.experiments.folder import NOT_BEGUN
+from iher_robot.experiments.report import formatting as words
+from iher_robot.experiments.report.columns import VERSIONS
+
+_WIDTH_OF_A_NAME = 60
+_WIDTH_OF_A_COMMIT = 10
+_WITHOUT_NUMBERS = (NOT_BEGUN, "damaged")
+
+Row = Mapping[Any, Any]
+
+
+def state(rows: Sequence[Row]) -> str:
+    """How far the experiment is."""
+    finished = sum(row["state"] == "finished" for row in rows)
+    if finished == len(rows):
+        return f"All {len(rows)} runs have finished."
+    others = [row["state"] for row in rows if row["state"] != "finished"]
+    counts = ", ".join(f"{others.count(name)} {name}" for name in dict.fromkeys(others))
+    return (
+        f"**{finished} of {len(rows)} runs have finished**, {counts}. What others have measured "
+        "until now is in here."
+    )
+
+
+def facts(origin: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
+    """Manifest, commits, versions, machines and robots."""
+    known = [row for row in rows if row["commit"]]
+    dirty = any(row["dirty"] is True for row in known)
+    machines = (
+        f"{_short(row['cpu'])}, {row['cores']} cores, {_short(row['system'])}" for row in known
+    )
+    versions = (
+        ", ".join(f"{name} {row[column]}" for column, name in VERSIONS.items() if row[column])
+        for row in known
+    )
+    return [
+        f"Manifest: {words.plain(origin['manifest'])}",
+        f"Commit: {_each(row['commit'] for row in known)}" + ", with changes" * dirty,
+        f"Versions: {_each(versions)}",
+        f"Machine: {_each(machines)}; one core a run",
+        f"Robot: {_each(row['robot'] for row in rows)}",
+    ]
+
+
+def commands(origin: Mapping[str, Any]) -> list[str]:
+    """The commands that made it."""
+    return list(dict.fromkeys(shlex.join(process["command"]) for process in origin["processes"]))
+
+
+def run_row(row: Row) -> list[str]:
+    """A run in the table of runs: name, state, robot minutes, wall clock, commit, command."""
+    name, told = words.plain(row["cell"]), row["state"]
+    if row["reason"]:
+        told += f": {words.plain(row['reason'])}"
+    if row["state"] in _WITHOUT_NUMBERS or not row["commit"]:
+        return [name, told, "", "", "", ""]
+    cut = [commit[:_WIDTH_OF_A_COMMIT] for commit in row["commit"].split(", ")]
+    return [
+        name,
+        told,
+        words.minutes(row["robot_minutes"]),
+        words.duration(row["wall_seconds"]),
+        ", ".join(cut) + ", with changes" * (row["dirty"] is True),
+        words.as_code(row["command"])
+        + f" and {row['processes'] - 1} times on" * (row["processes"] > 1),
+    ]
+
+
+def _each(values: Iterable[str]) -> str:
+    return words.plain("; ".join(dict.fromkeys(values))) or words.UNKNOWN
+
+
+def _short(names: str) -> str:
+    """Names of a machine, or of several, which may be long."""
+    return ", ".join(name[:_WIDTH_OF_A_NAME] for name in names.split(", "))

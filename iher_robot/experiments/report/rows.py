@@ -1,0 +1,108 @@
+"""Rows of the tables of an experiment, from the folder of a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from iher_robot.config.robot import DEFAULT_DRIVER
+from iher_robot.config.run import RunConfig, read_config
+from iher_robot.errors import UserError
+from iher_robot.experiments.folder import ExperimentFolder
+from iher_robot.experiments.grid import Identity
+from iher_robot.experiments.report.columns import EVALUATION_COLUMNS
+from iher_robot.experiments.report.run_origin_part import origin_of
+from iher_robot.storage.files.atomic import read_file
+from iher_robot.storage.files.lock import is_held
+from iher_robot.storage.run_directory import RunDirectory
+from iher_robot.storage.run_result import RunResult, read_result
+
+Row = dict[str, Any]
+
+# Of a run of which no more is known.
+_NOTHING: Mapping[str, Any] = {
+    "epochs": 0,
+    "evaluations": 0,
+    "robot_minutes": 0.0,
+    "wall_seconds": 0.0,
+}
+
+
+def rows_of(folder: ExperimentFolder, identity: Identity) -> tuple[list[Row], Row] | None:
+    """Rows of a cell.
+
+    A run that is damaged has a row that says so, and no evaluations.
+
+    Returns:
+        Its evaluations and its run; None if nothing of it is there.
+    """
+    shared: Row = {"cell": identity.name, **identity.as_row()}
+    failed = folder.failure(identity.name).exists()
+    try:
+        if folder.has_begun(identity.name):
+            return _read(folder, identity, shared)
+        if failed:
+            return [], shared | dict(_NOTHING) | _state(folder, identity, None)
+    except UserError as error:
+        return [], shared | dict(_NOTHING) | {"state": "damaged", "reason": str(error)}
+    return None
+
+
+def _read(
+    folder: ExperimentFolder, identity: Identity, shared: Row
+) -> tuple[list[Row], dict[str, Any]]:
+    directory = folder.run(identity.name)
+    config = read_config(directory.config_path)
+    shared = shared | {"budget_minutes": config.budget_minutes}
+    rows = directory.read_metrics()
+    result = read_result(directory.result_path)
+    evaluations = list(_evaluations(shared, config, rows))
+    run = shared | _state(folder, identity, result) | _run(directory, config, rows, result)
+    return evaluations, run | {"evaluations": len(evaluations)}
+
+
+def _state(folder: ExperimentFolder, identity: Identity, result: RunResult | None) -> Row:
+    """What a cell is doing, and why it does nothing."""
+    if result is not None:
+        return {"state": "finished"}
+    if is_held(folder.lock(identity.name)):
+        return {"state": "running"}
+    failure = folder.failure(identity.name)
+    if failure.exists():
+        reason = read_file(failure, "reason of a failure").decode(errors="replace").strip()
+        return {"state": "failed", "reason": reason}
+    return {"state": "interrupted"}
+
+
+def _evaluations(
+    shared: Mapping[str, Any], config: RunConfig, rows: list[dict[str, Any]]
+) -> Iterator[Row]:
+    simulated = config.driver == DEFAULT_DRIVER
+    settings = config.evaluation
+    count = settings.episodes if simulated else settings.robot_episodes
+    for row in rows:
+        if row.get("success") is not None:
+            measured = {name: row.get(name) for name in EVALUATION_COLUMNS if name in row}
+            yield {**measured, **shared, "evaluation_episodes": count}
+
+
+def _run(
+    directory: RunDirectory,
+    config: RunConfig,
+    rows: list[dict[str, Any]],
+    result: RunResult | None,
+) -> Row:
+    last = rows[-1] if rows else {}
+    success = [row["success"] for row in rows if row.get("success") is not None]
+    found: Row = {
+        "until_success": config.until_success,
+        "epochs": last.get("epoch", 0),
+        "robot_minutes": last.get("robot_minutes", 0.0),
+        "success": success[-1] if success else math.nan,
+        "wall_seconds": last.get("wall_seconds", 0.0),
+    }
+    if result is not None and result.final_episodes:
+        found["final_successes"] = result.final_successes
+        found["final_episodes"] = result.final_episodes
+    return found | origin_of(directory)

@@ -1,0 +1,142 @@
+"""Tidy tables of an experiment: a row for each evaluation, and a row for each run."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from iher_robot.errors import UserError
+from iher_robot.experiments.folder import NOT_BEGUN, ExperimentFolder, states_told
+from iher_robot.experiments.report.checks import check_evaluations, check_runs, no_table
+from iher_robot.experiments.report.columns import EVALUATION_COLUMNS, RUN_COLUMNS
+from iher_robot.experiments.report.rows import Row, rows_of
+from iher_robot.storage.files.atomic import read_file, write_atomically
+
+NEEDED = "pip install 'iher-robot[report]'"
+
+
+def require_pandas() -> Any:
+    """Import pandas.
+
+    Raises:
+        UserError: It is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise UserError(f"tables need pandas (the extra 'report'): {NEEDED}") from error
+    return pd
+
+
+def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
+    """Gather what the runs of an experiment measured, as CSV and Parquet.
+
+    Rows of runs whose folder is gone, as in a folder of committed results, are taken from the
+    tables that are there.
+
+    Args:
+        folder: The experiment.
+        target: Where to write to; it may be the same.
+
+    Raises:
+        UserError: The tables that are there are damaged, there are no cells yet, or the extra
+            ``report`` is missing.
+    """
+    identities = folder.identities()
+    if not identities:
+        raise UserError(f"the experiment in {folder.path} has no runs yet")
+    found = {identity.name: rows_of(folder, identity) for identity in identities}
+    told = states_told(folder.runs_path)
+    gone = [name for name, rows in found.items() if rows is None and told.get(name) != NOT_BEGUN]
+    earlier = _read_earlier(folder) if gone else {}
+    evaluations: list[Row] = []
+    runs: list[Row] = []
+    for identity in identities:
+        of_cell, run = (
+            found[identity.name]
+            or earlier.get(identity.name)
+            or ([], {"cell": identity.name, **identity.as_row(), "state": NOT_BEGUN})
+        )
+        evaluations += of_cell
+        runs.append(run | {"rows": len(identities)})
+    _write(target.evaluations_path, evaluations, EVALUATION_COLUMNS)
+    _write(target.runs_path, runs, RUN_COLUMNS)
+
+
+def read_tables(folder: ExperimentFolder) -> tuple[Any, Any]:
+    """Read the tables back, from their CSV files.
+
+    Args:
+        folder: The experiment.
+
+    Returns:
+        That of evaluations and that of runs, pandas DataFrames with the columns of `columns`.
+
+    Raises:
+        UserError: One is missing or damaged, or they are not of all cells of the experiment.
+    """
+    evaluations, runs = _read(folder)
+    there = set(runs["cell"])
+    for identity in folder.identities():
+        if identity.name not in there:
+            raise no_table(folder.runs_path, f"it has no row of cell {identity.name}")
+    return evaluations, runs
+
+
+def _read_earlier(folder: ExperimentFolder) -> dict[str, tuple[list[Row], Row]]:
+    """Rows of the tables that are there, by cell."""
+    if not folder.runs_path.exists() and not folder.evaluations_path.exists():
+        return {}
+    evaluations, runs = map(_rows, _read(folder))
+    return {
+        run["cell"]: ([row for row in evaluations if row["cell"] == run["cell"]], run)
+        for run in runs
+    }
+
+
+def _read(folder: ExperimentFolder) -> tuple[Any, Any]:
+    """Read and check both tables; they may be older than some of the cells."""
+    runs = _read_frame(folder.runs_path, RUN_COLUMNS)
+    check_runs(_rows(runs), folder.identities(), folder.runs_path)
+    evaluations = _read_frame(folder.evaluations_path, EVALUATION_COLUMNS)
+    check_evaluations(_rows(evaluations), _rows(runs), folder.evaluations_path)
+    return evaluations, runs
+
+
+def _read_frame(path: Path, columns: Mapping[str, str]) -> Any:
+    pd = require_pandas()
+    text = read_file(path, "table of an experiment")
+    if not text.endswith(b"\n"):
+        raise no_table(path, "its last line is cut off")
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(text),
+            dtype=columns,
+            keep_default_na=False,  # a variant may be called None
+            na_values=[""],
+        )
+    except ValueError as error:
+        raise no_table(path, " ".join(str(error).split())) from error
+    missing = [name for name in columns if name not in frame]
+    if missing:
+        raise no_table(path, f"it has no column {missing[0]}")
+    names = [name for name, kind in columns.items() if kind == "string"]
+    return frame[list(columns)].assign(**{name: frame[name].fillna("") for name in names})
+
+
+def _rows(frame: Any) -> list[Row]:
+    """Rows with None for what is not known."""
+    return list(frame.astype(object).where(frame.notna(), None).to_dict("records"))
+
+
+def _write(path: Path, rows: Sequence[Row], columns: Mapping[str, str]) -> None:
+    pd = require_pandas()
+    frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
+    text = frame.to_csv(index=False, lineterminator="\n").encode()
+    write_atomically(path, lambda file: file.write(text))
+    content = io.BytesIO()
+    frame.to_parquet(content, index=False)
+    data = content.getvalue()
+    write_atomically(path.with_suffix(".parquet"), lambda file: file.write(data))

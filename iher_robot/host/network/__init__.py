@@ -1,0 +1,1 @@
+"""Network side of the host: the gateway process, access rights and TLS."""

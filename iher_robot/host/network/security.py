@@ -1,0 +1,191 @@
+"""Who may do what with a served robot: the file of ``iher-robot serve --security``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from ipaddress import ip_address
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from drivers.errors import InvalidSpec
+from drivers.names import unknown
+from drivers.remote.certificates import TlsFiles, check_certificates
+from drivers.remote.link import warn_if_others_can_read
+from iher_robot.config.yaml import parse_mapping
+from iher_robot.errors import UserError
+from iher_robot.storage.files.atomic import read_file
+
+_KIND = "security file"
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Roles(_Section):
+    """Names of users, or common names of certificates, that have a role; one may have several."""
+
+    operator: tuple[str, ...] = ()
+    """May do everything."""
+    learner: tuple[str, ...] = ()
+    """May move the robot, but not clear its faults."""
+    viewer: tuple[str, ...] = ()
+    """May watch, and stop."""
+    perception: tuple[str, ...] = ()
+    """May watch, stop, and say where objects are."""
+
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of each role that somebody has."""
+        return {role: names for role in Roles.model_fields if (names := getattr(self, role))}
+
+
+class HostSecurity(_Section):
+    """How clients prove who they are, and what each may do."""
+
+    tls: TlsFiles | None = None
+    """Certificates for mutual TLS: a client's common name is its name."""
+    users: Path | None = None
+    """File with a line ``user:password`` for each user."""
+    roles: Roles = Field(default=Roles())
+    """Who has which role; anybody else may do nothing."""
+
+    @model_validator(mode="after")
+    def _hangs_together(self) -> HostSecurity:
+        names = self.roles.names()
+        if self.tls is None and self.users is None:
+            raise ValueError("roles need names that clients can prove; give tls, users or both")
+        if not names:
+            raise ValueError(
+                f"nobody has a role, so nobody could do anything; give {' or '.join(_ROLES)} "
+                "names under roles"
+            )
+        for role, members in names.items():
+            if not all(name.strip() for name in members):
+                raise ValueError(f"roles.{role} has an empty name; leave it out")
+        return self
+
+
+_ROLES = tuple(Roles.model_fields)
+_SECTIONS: Mapping[str, type[BaseModel]] = {"tls": TlsFiles, "roles": Roles}
+
+
+def read_security(path: Path | None) -> HostSecurity | None:
+    """Read a security file.
+
+    Args:
+        path: The file, which names other files from its own folder; None for none.
+
+    Raises:
+        UserError: It is missing, or a key or value in it is not allowed, or a file that it names
+            is not what it should be.
+    """
+    if path is None:
+        return None
+    content = parse_mapping(read_file(path, _KIND), str(path))
+    try:
+        security = HostSecurity.model_validate(_beside(path, content))
+    except ValidationError as error:
+        details = error.errors(include_url=False, include_context=False)
+        raise UserError(f"{path}: " + "; ".join(map(_sentence, details))) from None
+    try:
+        if security.tls is not None:
+            check_certificates(security.tls)
+    except InvalidSpec as error:
+        raise UserError(f"{path}: {error}") from None
+    if security.users is not None:
+        _check_users(path, security)
+    return security
+
+
+def check_listening(listen: tuple[str, ...], security: HostSecurity | None, insecure: bool) -> None:
+    """Check that nobody can move the robot without having proved who they are.
+
+    Args:
+        listen: Endpoints of the host.
+        security: How clients prove it; None for not at all.
+        insecure: Whether the user asked for a host that anybody on the network can command.
+
+    Raises:
+        UserError: An endpoint has not the protection that it needs.
+    """
+    for endpoint in listen:
+        if endpoint.startswith("tls/") and (security is None or security.tls is None):
+            raise UserError(
+                f"--listen is {endpoint!r} and no certificates are given; give tls in the file of "
+                "--security, made for example with: iher-robot certs DIR"
+            )
+        if endpoint.startswith("tcp/") and security is not None and security.users is None:
+            raise UserError(
+                f"--listen is {endpoint!r}, where nobody shows a certificate; listen on "
+                f"{endpoint.replace('tcp/', 'tls/', 1)}, or give users in the file of --security"
+            )
+        if security is None and not insecure and not _is_loopback(endpoint):
+            raise UserError(
+                f"--listen is {endpoint!r}, where others on the network could move the robot; give "
+                "--security FILE (see iher-robot certs), listen on 127.0.0.1, or accept it with "
+                "--insecure"
+            )
+
+
+def _is_loopback(endpoint: str) -> bool:
+    host = endpoint.split("/", 1)[1].rsplit(":", 1)[0].strip("[]")
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _beside(path: Path, content: Mapping[object, object]) -> dict[str, object]:
+    folder = path.absolute().parent
+    found = {str(key): value for key, value in content.items()}
+    if isinstance(found.get("users"), str):
+        found["users"] = folder / str(found["users"])
+    tls = found.get("tls")
+    if isinstance(tls, Mapping):
+        found["tls"] = {k: folder / v if isinstance(v, str) else v for k, v in tls.items()}
+    return found
+
+
+def _check_users(path: Path, security: HostSecurity) -> None:
+    assert security.users is not None
+    users = _read_users(security.users)
+    if security.tls is None:
+        for role, names in security.roles.names().items():
+            for name in names:
+                if name not in users:
+                    raise UserError(f"{path}: " + unknown(f"name in roles.{role}", name, users))
+
+
+def _read_users(path: Path) -> list[str]:
+    """Read the names in a file of users as Zenoh reads it."""
+    try:
+        lines = read_file(path, "file of users").decode().splitlines()
+    except UnicodeDecodeError:
+        raise UserError(f"file of users {path} is no UTF-8 text") from None
+    users: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        user, _, password = (part.strip() for part in line.partition(":"))
+        if not line.strip():
+            continue
+        if not user or not password:
+            raise UserError(f"file of users {path}, line {number}: allowed: user:password")
+        if user in users:
+            raise UserError(f"file of users {path}, line {number}: {user!r} is there twice")
+        users.append(user)
+    if not users:
+        raise UserError(f"file of users {path} is empty; give lines of user:password")
+    warn_if_others_can_read(path, "file of users")
+    return users
+
+
+def _sentence(detail: Mapping[str, object]) -> str:
+    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
+    key, reason = ".".join(path), str(detail["msg"]).removeprefix("Value error, ")
+    if not path:
+        return reason
+    if detail["type"] == "extra_forbidden":
+        section = _SECTIONS[path[0]] if len(path) > 1 else HostSecurity
+        names = [".".join((*path[:-1], name)) for name in section.model_fields]
+        return unknown("security setting", key, names)
+    return f"{key} is {detail['input']!r}: {reason[0].lower()}{reason[1:]}"

@@ -1,0 +1,1 @@
+"""Imagined episodes: dynamics ensemble, rollouts, intrinsic reward."""

@@ -1,0 +1,1 @@
+"""Networks and tensor machinery: MLPs, critics, normalizer, precision, CUDA graphs."""

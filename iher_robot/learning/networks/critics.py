@@ -1,0 +1,70 @@
+"""Critics: an ensemble for each component of the reward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+
+from iher_robot.learning.config import DDPGConfig
+from iher_robot.learning.networks.mlp import forward, mlp
+
+
+class Critics(nn.Module):
+    """Networks that differ by their initial weights only.
+
+    Args:
+        inputs: Width of features and action together.
+        config: How many networks a component has, and of what kind.
+        components: Components of the reward that have critics of their own.
+        generator: Draws the initial weights, on the CPU.
+        products: Type of the matrix products between hidden layers.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        config: DDPGConfig,
+        *,
+        components: int,
+        generator: torch.Generator,
+        products: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        self._members = config.critics
+        self._components = components
+        self._products = products
+        self.networks = nn.ModuleList(
+            mlp(inputs, config.hidden, 1, generator, layer_norm=config.layer_norm)
+            for _ in range(components * config.critics)
+        )
+
+    def forward(
+        self, features: torch.Tensor, action: torch.Tensor, members: Sequence[int] | None = None
+    ) -> torch.Tensor:
+        """Values of actions.
+
+        Args:
+            features: Of observation and goal. ``(batch, input_dim)``
+            action: ``(batch, action_dim)``
+            members: Which networks of each component to ask; None for all.
+
+        Returns:
+            ``(components, members, batch)``
+        """
+        inputs = torch.cat([features, action], dim=-1)
+        asked = range(self._members) if members is None else members
+        # One after the other: what one computes fits a cache of the processor.
+        values: list[torch.Tensor] = [
+            forward(self._network(component, member), inputs, self._products).squeeze(-1)
+            for component in range(self._components)
+            for member in asked
+        ]
+        stacked = torch.stack(values)
+        return stacked.view(self._components, len(asked), len(inputs))
+
+    def _network(self, component: int, member: int) -> nn.Sequential:
+        network = self.networks[component * self._members + member]
+        assert isinstance(network, nn.Sequential)
+        return network

@@ -1,0 +1,1 @@
+"""Episodes on a robot: run, record and charge them."""

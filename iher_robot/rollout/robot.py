@@ -1,0 +1,122 @@
+"""Episodes on a robot: each charged and kept, whatever ends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from drivers import DriverError, FaultLatched, LeaseRefused, LinkLost, StaleState
+from drivers.closing import Closing
+from iher_robot.env.goal_env import GoalRobotEnv
+from iher_robot.learning.exploration import Explorer
+from iher_robot.learning.policy import Policy
+from iher_robot.rollout.episode import Recorder, run_episode
+from iher_robot.rollout.idle_meter_part import IdleMeter
+from iher_robot.rollout.reconnect import Patience
+from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.timing import TickJitter
+from iher_robot.storage.accounts import Account
+from iher_robot.storage.episode import EpisodeHeader
+from iher_robot.storage.episode_store import EpisodeStore
+from iher_robot.storage.ledger import Entry, Ledger
+
+
+class RobotEpisodes(Closing):
+    """Runs the episodes of a run on its robot, and waits for it where it is lost.
+
+    Args:
+        env: The robot.
+        store: Keeps the ticks of each episode.
+        ledger: Accounts of the run.
+        patience: How long to wait.
+
+    Attributes:
+        jitter: Of the ticks of motion.
+    """
+
+    def __init__(
+        self, env: GoalRobotEnv, store: EpisodeStore, ledger: Ledger, patience: Patience
+    ) -> None:
+        self._env = env
+        self._store = store
+        self._ledger = ledger
+        self._patience = patience
+        self._idle = IdleMeter(env.driver, ledger)
+        self.jitter = TickJitter(env.driver)
+
+    def run(
+        self,
+        account: Account,
+        reserve: Callable[[], AbstractContextManager[Entry]],
+        policy: Policy,
+        *,
+        epoch: int,
+        seed: int,
+        ticks: int,
+        explorer: Explorer | None = None,
+    ) -> Recorder:
+        """Run an episode; one that did not begin costs nothing, and is begun again.
+
+        Args:
+            account: What its ticks are charged to.
+            reserve: Reserves them, once for each attempt.
+            policy: A policy on the CPU.
+            epoch: Epoch that it belongs to.
+            seed: Decides start, goal and noise.
+            ticks: Most ticks to run.
+            explorer: Disturbs the actions; None leaves them as they are.
+
+        Returns:
+            What was recorded, at least one tick.
+
+        Raises:
+            UserError: The robot cannot be reset, or did not come back in time, or nothing can be
+                written down.
+        """
+        while True:
+            self._idle.end()
+            lost = None
+            with self._recorder(account, reserve, epoch, seed) as recorder:
+                try:
+                    run_episode(
+                        self._env, policy, recorder, seed=seed, ticks=ticks, explorer=explorer
+                    )
+                except DriverError as error:
+                    if recorder.ticks or not self._may_come_back(error):
+                        raise
+                    lost = error
+            if lost is None:
+                self._patience.end()
+                self._idle.begin()
+                return recorder
+            self._env.close()  # others may have the robot meanwhile
+            self._patience.wait(lost)
+
+    def still_idle(self) -> None:
+        """Note that the robot is waiting; to be called now and then while something computes."""
+        self._idle.note()
+
+    def close(self) -> None:
+        """End with the robot; closing twice does nothing."""
+        self._idle.end()
+
+    def _recorder(
+        self,
+        account: Account,
+        reserve: Callable[[], AbstractContextManager[Entry]],
+        epoch: int,
+        seed: int,
+    ) -> KeptRecorder:
+        return KeptRecorder(
+            self._env,
+            self._store,
+            reserve,
+            self._ledger,
+            lambda told, entry: EpisodeHeader(epoch, told, account, seed, entry),
+            self.jitter if account == "motion" else None,
+        )
+
+    def _may_come_back(self, error: DriverError) -> bool:
+        if isinstance(error, FaultLatched):  # of a robot of this process alone, nobody clears it
+            return self._env.driver.exclusive or self._env.robot_spec.physical
+        return isinstance(error, LinkLost | LeaseRefused | StaleState)

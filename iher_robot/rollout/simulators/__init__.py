@@ -1,0 +1,1 @@
+"""Episodes in several simulator processes at once."""

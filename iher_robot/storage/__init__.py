@@ -1,0 +1,1 @@
+"""Crash-safe records of a run: episodes, ledger, budget, checkpoints."""

@@ -1,0 +1,231 @@
+"""The index of an episode folder, and the journal of the episode under way, in one SQLite file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.closing import Closing
+from iher_robot.errors import UserError
+from iher_robot.storage.episode import (
+    UNREADABLE,
+    EpisodeHeader,
+    RecordedTick,
+    StoredEpisode,
+    make_episode,
+    pack_array,
+    unpack_array,
+)
+from iher_robot.storage.files.sqlite import Database, Format, row_seal
+
+INDEX = Format(
+    kind="episode index",
+    application_id=0x69686570,  # "ihep" in ASCII
+    version=1,
+    schema=(
+        """CREATE TABLE episode (
+            id INTEGER PRIMARY KEY,
+            sha256 TEXT NOT NULL,
+            seal BLOB NOT NULL
+        )""",
+        """CREATE TABLE running (
+            id INTEGER PRIMARY KEY,
+            header TEXT NOT NULL,
+            observation BLOB NOT NULL,
+            desired_goal BLOB NOT NULL,
+            seal BLOB NOT NULL
+        )""",
+        """CREATE TABLE tick (
+            id INTEGER PRIMARY KEY,
+            record BLOB NOT NULL,
+            seal BLOB NOT NULL
+        )""",
+    ),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Running:
+    """The episode under way.
+
+    Attributes:
+        index: Place in the store that it will have.
+        header: What was known before its first tick.
+        observation: Before the first tick. ``(obs_dim,)``
+        desired_goal: ``(goal_dim,)``
+        ticks: Those recorded so far.
+    """
+
+    index: int
+    header: EpisodeHeader
+    observation: NDArray[np.floating]
+    desired_goal: NDArray[np.floating]
+    ticks: list[RecordedTick]
+
+    def stored(self, ended: str) -> StoredEpisode:
+        """What will be stored of it.
+
+        Args:
+            ended: ``"done"``, or what cut it short.
+        """
+        return StoredEpisode(
+            **vars(self.header),
+            index=self.index,
+            ended=ended,
+            seqs=np.array([tick.seq for tick in self.ticks], dtype=np.int64),
+            elapsed=np.array([tick.elapsed for tick in self.ticks], dtype=np.int64),
+            episode=make_episode(self.observation, self.desired_goal, self.ticks),
+        )
+
+
+class EpisodeIndex(Closing):
+    """Which episodes there are, with the digest of each file; and the ticks of the one under way.
+
+    Args:
+        path: The file; created if it does not exist, unless it is only read.
+        read_only: Whether to change nothing; others may be writing meanwhile.
+
+    Raises:
+        UserError: It is no index, damaged, or cannot be used.
+    """
+
+    def __init__(self, path: Path, *, read_only: bool = False) -> None:
+        self.path = path
+        self._database = Database(path, INDEX, read_only=read_only)
+        self._kind: np.dtype[np.void] | None = None
+        try:
+            with self._database.snapshot():
+                self.digests = self._read_digests()
+                self.running = self._read_running()
+        except BaseException:
+            self.close()
+            raise
+        if not read_only:  # written out between episodes: it must not delay a tick
+            self._database.execute("PRAGMA wal_autocheckpoint = 0")
+
+    def begin(self, running: Running, *, durable: bool) -> None:
+        """Write down that an episode is under way.
+
+        Args:
+            running: It, and the ticks that it has already.
+            durable: Whether this and every tick of it waits for the disk.
+
+        Raises:
+            UserError: The system refuses.
+        """
+        arrays = (pack_array(running.observation), pack_array(running.desired_goal))
+        row = (running.index, running.header.to_json(), *arrays)
+        self._database.durable(durable)
+        with self._database.transaction():
+            self._clear()
+            self._database.execute(
+                "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_seal(*row))
+            )
+            for number, tick in enumerate(running.ticks):
+                self._insert(number, tick)
+        self.running = running
+
+    def record(self, tick: RecordedTick) -> None:
+        """Write down a tick of the episode under way.
+
+        Raises:
+            UserError: The system refuses.
+        """
+        assert self.running is not None, "begin comes first"
+        self.running.ticks.append(tick)  # first: what cannot be written may still be sealed
+        self._insert(len(self.running.ticks) - 1, tick)
+
+    def add(self, digest: str) -> None:
+        """Write down the file of the next episode, durably; none is under way then.
+
+        Args:
+            digest: SHA-256 of the file, in hexadecimal digits.
+
+        Raises:
+            UserError: The system refuses.
+        """
+        row = (len(self.digests), digest)
+        self._database.durable(True)
+        with self._database.transaction():
+            self._database.execute("INSERT INTO episode VALUES (?, ?, ?)", (*row, row_seal(*row)))
+            self._clear()
+        self._take([digest])
+        self._database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def catch_up(self) -> None:
+        """Take in what is written down, and was not taken since an interrupt came before."""
+        query = "SELECT sha256 FROM episode WHERE id >= ? ORDER BY id"
+        rows = self._database.rows(query, (len(self.digests),))
+        if rows:
+            self._take([digest for (digest,) in rows])
+
+    def forget_running(self) -> None:
+        """Forget an episode under way of which no tick is recorded."""
+        assert self.running is None or not self.running.ticks
+        with self._database.transaction():
+            self._clear()
+        self.running = None
+
+    def close(self) -> None:
+        """Release the file; closing twice does nothing."""
+        self._database.close()
+
+    def _take(self, digests: list[str]) -> None:
+        self.running = None  # first: an interrupt finds the episodes not taken, and they will be
+        self.digests += digests
+
+    def _insert(self, number: int, tick: RecordedTick) -> None:
+        # The first record says what all of them are, as a file of NumPy's does.
+        record = tick.as_record(self._kind if number else None)
+        self._kind = record.dtype
+        row = (number, record.tobytes() if number else pack_array(record))
+        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
+
+    def _clear(self) -> None:
+        self._database.execute("DELETE FROM running")
+        self._database.execute("DELETE FROM tick")
+
+    def _read_digests(self) -> list[str]:
+        rows = self._database.rows("SELECT * FROM episode ORDER BY id")
+        self._require_whole(rows)
+        return [digest for _, digest, _ in rows]
+
+    def _read_running(self) -> Running | None:
+        rows = self._database.rows("SELECT * FROM running ORDER BY id")
+        records = self._database.rows("SELECT * FROM tick ORDER BY id")
+        self._require_whole(records)
+        if not rows:
+            return None
+        index, header, observation, desired_goal, seal = rows[0]
+        if len(rows) > 1 or index != len(self.digests) or seal != row_seal(*rows[0][:-1]):
+            raise self._damaged()
+        try:
+            return Running(
+                index=index,
+                header=EpisodeHeader.from_json(header),
+                observation=unpack_array(observation),
+                desired_goal=unpack_array(desired_goal),
+                ticks=_read_ticks([record for _, record, _ in records]),
+            )
+        except UNREADABLE as error:
+            raise self._damaged() from error
+
+    def _require_whole(self, rows: Sequence[tuple[object, ...]]) -> None:
+        for number, row in enumerate(rows):
+            if row[0] != number or row[-1] != row_seal(*row[:-1]):
+                raise self._damaged()
+
+    def _damaged(self) -> UserError:
+        return UserError(f"{self.path} is damaged: put back the index that belongs to the files")
+
+
+def _read_ticks(records: Sequence[bytes]) -> list[RecordedTick]:
+    if not records:
+        return []
+    first = unpack_array(records[0])
+    rest = [np.frombuffer(record, first.dtype).reshape(()) for record in records[1:]]
+    return [RecordedTick.from_record(record) for record in (first, *rest)]

@@ -1,0 +1,1 @@
+"""File primitives: atomic writes, checksums, locks, SQLite, torch files."""

@@ -1,0 +1,193 @@
+"""The folder of a training run: what lies where, and its metrics."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from iher_robot.errors import UserError
+from iher_robot.storage.files.atomic import read_file, write_atomically
+from iher_robot.storage.files.checksum import open_line, seal_line
+
+Row = Mapping[str, Any]
+
+_SEAL = b"# sha256: "
+
+
+class RunDirectory:
+    """Paths of a run, whose folder exists; make one by ``create`` or ``open``.
+
+    Args:
+        path: The run's folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_path = path / "config.yaml"
+        self.provenance_path = path / "provenance.json"
+        self.ledger_path = path / "ledger.sqlite"
+        self.episodes_path = path / "episodes"
+        self.warm_start_path = path / "warm-start"
+        self.checkpoint_path = path / "checkpoint.pt"
+        self.metrics_path = path / "metrics.jsonl"
+        self.policy_path = path / "policy.pt"
+        self.tensorboard_path = path / "tensorboard"
+        self.plot_path = path / "success.png"
+        self.film_path = path / "final.mp4"
+        self.result_path = path / "result.json"
+
+    @classmethod
+    def create(cls, path: Path, config_text: str) -> RunDirectory:
+        """Start a new run's folder and keep its settings there.
+
+        Args:
+            path: A folder that does not exist yet, or is empty.
+            config_text: From ``dump_config``.
+
+        Raises:
+            UserError: The folder holds something, is a file, or cannot be written.
+        """
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if any(path.iterdir()):
+                raise UserError(
+                    f"run folder {path} is not empty; continue its run with --resume {path}, or "
+                    "choose another folder with --out"
+                )
+            # Of two that start at one moment only one may have it.
+            (path / "config.yaml").touch(exist_ok=False)
+        except FileExistsError:
+            what = "is taken by another run that starts just now" if path.is_dir() else "is a file"
+            raise UserError(f"run folder {path} {what}; choose another with --out") from None
+        except OSError as error:
+            raise UserError(
+                f"cannot make run folder {path}: {error.strerror or error}; choose another with "
+                "--out"
+            ) from error
+        directory = cls(path)
+        text = config_text.encode()
+        sealed = text + _config_seal(text)
+        write_atomically(directory.config_path, lambda file: file.write(sealed))
+        return directory
+
+    @classmethod
+    def open(cls, path: Path) -> RunDirectory:
+        """Open the folder of a run that was started earlier, to resume it.
+
+        Raises:
+            UserError: There is none, or what it spent is not known.
+        """
+        directory = cls(path)
+        if not path.is_dir():
+            raise UserError(f"there is no run folder at {path}")
+        needed = [directory.config_path]
+        if directory.episodes_path.exists():
+            # Without its ledger a run would spend its budget a second time.
+            needed.append(directory.ledger_path)
+        for file in needed:
+            if not file.is_file():
+                raise UserError(f"{path} is no run that can be resumed: it has no {file.name}")
+        directory.check_config()
+        return directory
+
+    def check_config(self) -> None:
+        """Check that the settings are those that the run began with.
+
+        Raises:
+            UserError: They are not.
+        """
+        text = read_file(self.config_path, "config file")
+        end = text.rfind(_SEAL)
+        if end < 0 or text[end:] != _config_seal(text[:end]):
+            raise UserError(
+                f"{self.config_path} is not what the run was started with; put it back, or start "
+                "a new run with another --out"
+            )
+
+    def append_metrics(self, row: Row) -> None:
+        """Add one line to the metrics; numbers that are not finite become null.
+
+        Args:
+            row: What was measured in an epoch; numpy and torch scalars are taken as numbers.
+
+        Raises:
+            UserError: The system refuses, such as on a full disk.
+        """
+        line = seal_line(_plain(row))
+        try:
+            with self.metrics_path.open("a+b") as file:
+                _drop_torn_line(file.fileno())
+                file.write(line + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            reason = error.strerror or error
+            raise UserError(f"cannot write {self.metrics_path}: {reason}") from error
+
+    def read_metrics(self) -> list[dict[str, Any]]:
+        """All lines of the metrics; one that a crash cut off is left out.
+
+        Raises:
+            UserError: A line is damaged.
+        """
+        if not self.metrics_path.exists():
+            return []
+        *lines, _ = read_file(self.metrics_path, "metrics file").split(b"\n")
+        return [
+            open_line(line, f"{self.metrics_path}, line {number},", "metrics")
+            for number, line in enumerate(lines, start=1)
+        ]
+
+    def replace_metrics(self, rows: Sequence[Row]) -> None:
+        """Write all lines of the metrics anew, as a checkpoint has them."""
+        text = b"".join(seal_line(_plain(row)) + b"\n" for row in rows)
+        write_atomically(self.metrics_path, lambda file: file.write(text))
+
+
+def default_run_path(
+    task: str,
+    algo: str,
+    preset: str,
+    seed: int,
+    root: Path = Path("runs"),
+    now: datetime | None = None,
+) -> Path:
+    """Name of a run's folder if none is given, such as ``push-iher-default-seed0-20250131-120000``.
+
+    Args:
+        task: Name of the task.
+        algo: Name of the algorithm.
+        preset: Name of the preset, or the path of a file, of which the stem is used.
+        seed: The run's seed.
+        root: Folder of all runs.
+        now: When the run starts, by default at this moment.
+    """
+    moment = (now or datetime.now()).strftime("%Y%m%d-%H%M%S")
+    return root / f"{task}-{algo}-{Path(preset).stem}-seed{seed}-{moment}"
+
+
+def _config_seal(text: bytes) -> bytes:
+    return _SEAL + hashlib.sha256(text).hexdigest().encode() + b"\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _drop_torn_line(descriptor: int) -> None:
+    """Cut off what a crash left of a line, or the next one would be appended to it."""
+    size = os.fstat(descriptor).st_size
+    content = os.pread(descriptor, size, 0)
+    if not content.endswith(b"\n"):
+        os.ftruncate(descriptor, content.rfind(b"\n") + 1)

@@ -1,0 +1,1 @@
+"""Training runs: collect on the robot, learn, evaluate, resume."""

@@ -1,0 +1,1 @@
+"""Where the learner computes: in this process, beside the robot, or in several processes."""

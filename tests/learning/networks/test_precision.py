@@ -1,0 +1,70 @@
+"""Precision of matrix products: what is asked for, and what the hardware decides."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from iher_robot.learning.networks import precision
+from iher_robot.learning.networks.precision import Precision, products_of, set_float32_products
+from tests.learning.quick_learner import new, quick, real
+from tests.learning.stand_ins import CPU
+
+
+@pytest.mark.parametrize(
+    ("asked", "capable", "expected"),
+    [
+        ("bfloat16", False, torch.bfloat16),
+        ("bfloat16", True, torch.bfloat16),
+        ("auto", True, torch.bfloat16),
+        ("auto", False, torch.float32),
+        ("medium", True, torch.float32),
+        ("highest", True, torch.float32),
+    ],
+)
+def test_bfloat16_is_taken_where_asked_for_or_where_auto_finds_it(
+    asked: Precision, capable: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": capable})
+    assert products_of(asked, CPU) == expected
+
+
+def test_a_cpu_that_is_not_known_is_taken_to_have_no_bfloat16(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
+    assert not precision.multiplies_bfloat16(CPU)
+
+
+def test_float32_products_are_set_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = torch.get_float32_matmul_precision()
+    expected = {"bfloat16": "highest", "high": "high", "medium": "medium", "highest": "highest"}
+    try:
+        for capable, auto in ((True, "highest"), (False, "medium")):
+            has = {"avx512_bf16": capable}
+            monkeypatch.setattr(torch.cpu, "get_capabilities", lambda has=has: has)
+            for asked, found in (expected | {"auto": auto}).items():
+                set_float32_products(asked, CPU)  # type: ignore[arg-type]
+                assert torch.get_float32_matmul_precision() == found
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def test_all_networks_of_a_learner_compute_in_its_precision_and_are_saved_whole() -> None:
+    learned = {}
+    for asked in ("highest", "bfloat16"):
+        config = quick(ddpg={"hidden": (16, 16, 16)})
+        learner = new(config.model_copy(update={"matmul_precision": asked}))
+        learner.add_real(real(1))
+        learner.learn()
+        state = learner.state_dict()
+        weights = [*state["ddpg"]["critics"].values(), *state["ensemble"]["members"].values()]
+        assert {each.dtype for each in weights} == {torch.float32}
+        assert {each.dtype for each in state["policy"]["actor"].values()} == {torch.float32}
+        learned[asked] = weights
+        # What acts on a robot is not rounded.
+        assert learner.acting_policy(CPU).products == torch.float32
+    for exact, rounded in zip(learned["highest"], learned["bfloat16"], strict=True):
+        if exact.dim() == 2:
+            assert not torch.equal(exact, rounded)
+        torch.testing.assert_close(exact, rounded, rtol=0.1, atol=0.1)
