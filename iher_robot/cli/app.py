@@ -9,17 +9,17 @@ from typing import Annotated, NoReturn
 import typer
 
 from drivers import DriverError
-from iher_robot.cli.cli_budget_part import budget
-from iher_robot.cli.cli_certs_part import certs
-from iher_robot.cli.cli_interrupts_part import Stopped
-from iher_robot.cli.cli_view_part import view
+from iher_robot.cli.budget import budget
+from iher_robot.cli.certs import certs
 from iher_robot.cli.data import data
 from iher_robot.cli.deploy import deploy
 from iher_robot.cli.evaluate import evaluate
 from iher_robot.cli.experiment import experiment, report
+from iher_robot.cli.interrupts import Stopped
 from iher_robot.cli.robot import clear_fault, doctor, home, stop
 from iher_robot.cli.serve import serve
 from iher_robot.cli.train import train
+from iher_robot.cli.view import view
 from iher_robot.errors import UserError
 from iher_robot.signals import Terminated, sigterm_as_interrupt
 from iher_robot.version import __version__

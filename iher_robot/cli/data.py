@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.errors import UserError, unknown_name
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.cli.options import (
     AcceptInterfaceOption,
     ConnectOption,

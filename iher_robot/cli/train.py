@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.cli_interrupts_part import told_when_interrupted
+from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
 from iher_robot.errors import UserError
 from iher_robot.training.learners.torchrun import read_place

@@ -20,7 +20,7 @@ from iher_robot.datasets.selection import NEEDED, Selection
 from iher_robot.datasets.summary import counted
 from iher_robot.env.registration import ENV_IDS
 from iher_robot.errors import UserError
-from iher_robot.storage.files.whole_folder_part import write_folder
+from iher_robot.storage.files.atomic import write_folder
 from iher_robot.version import __version__
 
 if TYPE_CHECKING:

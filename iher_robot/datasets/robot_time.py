@@ -9,7 +9,7 @@ from pathlib import Path
 from drivers.remote.client import RobotClient
 from drivers.remote.status import read_status
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.config.robot_link_part import link_of
+from iher_robot.config.robot_link import link_of
 from iher_robot.datasets.run_reader import RunData
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import ACCOUNTS, Account, read_accounts

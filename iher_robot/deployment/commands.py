@@ -23,11 +23,9 @@ from drivers.remote.client import RobotClient
 from drivers.remote.messages import ClearFaultRequest
 from drivers.remote.status import HostStatus, printable, read_status
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.config.robot_link_part import link_of, make_robot
-from iher_robot.deployment.latched_part import latched_sentence
-from iher_robot.deployment.robot_checks import metres_from_home, require_home
-from iher_robot.env.assisted_reset_part import AskHuman, reset_with_help
-from iher_robot.env.operator import Operator
+from iher_robot.config.robot_link import link_of, make_robot
+from iher_robot.deployment.robot_checks import latched_sentence, metres_from_home, require_home
+from iher_robot.env.operator import AskHuman, Operator, reset_with_help
 from iher_robot.errors import UserError
 
 _CONNECT_S = 0.5

@@ -9,8 +9,12 @@ from drivers import Mode, RobotSpec, RobotState
 from drivers.remote import LinkQuality
 from drivers.remote.state_stream import StateStream
 from drivers.remote.status import HostStatus
-from iher_robot.deployment.latched_part import latched_sentence
-from iher_robot.deployment.robot_checks import joints_outside, metres_from_home, not_home_sentence
+from iher_robot.deployment.robot_checks import (
+    joints_outside,
+    latched_sentence,
+    metres_from_home,
+    not_home_sentence,
+)
 from iher_robot.version import __version__
 
 _SLOW_SHARE = 0.5

@@ -15,7 +15,7 @@ from drivers.remote.quality import measure_link
 from drivers.remote.state_stream import listen_to_states
 from drivers.remote.status import printable, read_status
 from iher_robot.config.robot import REMOTE_DRIVER, ChosenRobot
-from iher_robot.config.robot_link_part import link_of, make_robot
+from iher_robot.config.robot_link import link_of, make_robot
 from iher_robot.deployment.diagnosis import Examination, Remote
 from iher_robot.env.goal_env import ResetFailed
 

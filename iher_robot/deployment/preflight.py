@@ -9,8 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from drivers import RobotDriver, RobotSpec, StaleState
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.deployment.latched_part import latched_sentence
-from iher_robot.deployment.robot_checks import joints_outside, metres_from_home
+from iher_robot.deployment.robot_checks import joints_outside, latched_sentence, metres_from_home
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import (

@@ -64,3 +64,17 @@ def joints_outside(spec: RobotSpec, state: RobotState) -> list[str]:
         for (name, limits), q in zip(spec.limits.joints.items(), state.q, strict=True)
         if not limits.lower - _JOINT_TOLERANCE <= q <= limits.upper + _JOINT_TOLERANCE
     ]
+
+
+def latched_sentence(robot: str, fault: str, reason: str) -> str:
+    """Say what stopped a robot and how it is cleared.
+
+    Args:
+        robot: Name of the robot.
+        fault: Name of the latched fault.
+        reason: What happened, in words.
+    """
+    return (
+        f"{robot} is stopped by {fault!r} ({reason}); once it is safe, clear it with: iher-robot "
+        f"clear-fault {fault}"
+    )

@@ -27,8 +27,8 @@ from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import Actor
 from iher_robot.rollout.episode import Stream, episode_seed
-from iher_robot.rollout.idle_meter_part import IdleMeter
 from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.timing import IdleMeter
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface

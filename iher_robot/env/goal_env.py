@@ -25,8 +25,8 @@ from drivers import (
     StaleState,
     make_driver,
 )
-from iher_robot.env.assisted_reset_part import AskHuman, reset_with_help
 from iher_robot.env.controller import Controller, make_controller
+from iher_robot.env.operator import AskHuman, reset_with_help
 from iher_robot.env.tick import InvalidTicks, Tick, judge_tick
 from iher_robot.errors import NoSolution, UserError
 from tasks import GoalTask, make_task

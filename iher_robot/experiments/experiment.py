@@ -17,10 +17,9 @@ from iher_robot.experiments.executor import Executor, LocalExecutor
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import Manifest, read_manifest
-from iher_robot.experiments.preparing_part import prepare
 from iher_robot.experiments.progress import Board
 from iher_robot.experiments.report.report import ReportResult, report
-from iher_robot.experiments.runner import Running
+from iher_robot.experiments.runner import Running, prepare
 from iher_robot.storage.files.lock import HeldFile
 from iher_robot.storage.provenance import collect_provenance
 

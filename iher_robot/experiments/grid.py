@@ -10,11 +10,36 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.config.robot import DEFAULT_DRIVER
-from iher_robot.config.run import RunConfig, load_config
+from iher_robot.config.run import RunConfig, load_config, plain_identity
 from iher_robot.errors import UserError
-from iher_robot.experiments.differences_part import differences
 from iher_robot.experiments.manifest import Grid, Manifest
 from tasks import TaskError, canonical_name
+
+_ABSENT = object()
+
+
+def differences(first: RunConfig, second: RunConfig) -> dict[str, tuple[Any, Any]]:
+    """Settings in which two runs differ and on which their results depend.
+
+    Returns:
+        Both values by dotted key, None for one that is not there.
+    """
+    one, two = _flat(plain_identity(first)), _flat(plain_identity(second))
+    return {
+        key: (one.get(key), two.get(key))
+        for key in {**one, **two}
+        if one.get(key, _ABSENT) != two.get(key, _ABSENT)
+    }
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[prefix + key] = value
+    return found
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from iher_robot.experiments.grid import Cell, Identity, expand_grid
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.experiments.runner import Running
 from iher_robot.experiments.search_space import Search
-from iher_robot.experiments.study_part import distributions_of, is_whole, open_study
+from iher_robot.experiments.study import distributions_of, is_whole, open_study
 from iher_robot.storage.files.atomic import write_atomically
 
 

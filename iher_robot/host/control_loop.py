@@ -20,7 +20,7 @@ from drivers.wire import WireError, unpack
 from iher_robot.host.commands import CommandDesk
 from iher_robot.host.heartbeat import Vitals
 from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.network.channel_part import Channel, Note
+from iher_robot.host.network.channels import Channel, Note
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.requests import RequestDesk
 from iher_robot.host.served_robot import ServedRobot

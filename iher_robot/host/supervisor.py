@@ -24,7 +24,7 @@ from iher_robot.errors import UserError
 from iher_robot.host.control_loop import ControlLoop
 from iher_robot.host.heartbeat import Vitals
 from iher_robot.host.network.access import gateway_config
-from iher_robot.host.network.channel_part import Channel, channel_ends
+from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.network.gateway import Gateway
 from iher_robot.host.network.security import read_security
 from iher_robot.host.persistence import RobotMemory, RobotTotal

@@ -11,10 +11,9 @@ from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.exploration import Explorer
 from iher_robot.learning.policy import Policy
 from iher_robot.rollout.episode import Recorder, run_episode
-from iher_robot.rollout.idle_meter_part import IdleMeter
 from iher_robot.rollout.reconnect import Patience
 from iher_robot.rollout.recorder import KeptRecorder
-from iher_robot.rollout.timing import TickJitter
+from iher_robot.rollout.timing import IdleMeter, TickJitter
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore

@@ -15,9 +15,8 @@ from drivers import Clock, MonotonicClock
 from iher_robot.config.run import dump_identity
 from iher_robot.errors import UserError
 from iher_robot.evaluation.plot import plot_success
-from iher_robot.evaluation.policy_file import save_policy
+from iher_robot.evaluation.policy_file import save_policy, trained_policy
 from iher_robot.evaluation.success_rate import Outcome, evaluate_learner
-from iher_robot.evaluation.trained_policy_part import trained_policy
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.episode import Recorder, Stream, episode_seed
@@ -33,10 +32,9 @@ from iher_robot.storage.provenance import write_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.epoch import CollectedEpoch, Learned, Lesson, Row
-from iher_robot.training.learners.asynchronous import LearnerBeside
+from iher_robot.training.learners.asynchronous import LearnerBeside, LearnerProcess
 from iher_robot.training.learners.base import LearnerInTurn, RunLearner
 from iher_robot.training.learners.distributed import LearnerWithPeers
-from iher_robot.training.learners.learner_process_part import LearnerProcess
 from iher_robot.training.recovery import restore
 from iher_robot.training.setup import CPU, Workcell
 

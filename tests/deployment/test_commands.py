@@ -21,7 +21,7 @@ import iher_robot
 from drivers import EMERGENCY_STOP, Mode, ResetOutcome, ResetRequest, ResetResult
 from drivers.remote.messages import Empty
 from iher_robot.cli.app import main
-from iher_robot.config import robot_link_part as robot_link_part_module
+from iher_robot.config import robot_link as robot_link_part_module
 from iher_robot.deployment import commands as commands_module
 from tests.drivers.fake_robot import FakeRobot
 from tests.repository import ROOT

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers import HandsNotClear, ResetOutcome, ResetRequest, ResetResult
-from iher_robot.env.assisted_reset_part import ASKED_BEFORE, reset_with_help
+from iher_robot.env.operator import ASKED_BEFORE, reset_with_help
 from tests.drivers.fake_robot import FakeRobot
 
 

@@ -12,8 +12,7 @@ from iher_robot.config.layers import experiment_names
 from iher_robot.config.run import load_config
 from iher_robot.config.yaml import format_yaml
 from iher_robot.errors import UserError
-from iher_robot.experiments.differences_part import differences
-from iher_robot.experiments.grid import Cell, expand
+from iher_robot.experiments.grid import Cell, differences, expand
 from iher_robot.experiments.manifest import read_manifest
 from iher_robot.experiments.report import findings
 

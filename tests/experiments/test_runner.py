@@ -15,7 +15,7 @@ from iher_robot.experiments.executor import LocalExecutor
 from iher_robot.experiments.experiment import experiment
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.progress import Board
-from iher_robot.experiments.report.run_origin_part import origin_of
+from iher_robot.experiments.report.rows import origin_of
 from iher_robot.experiments.runner import Running
 from iher_robot.storage.provenance import write_provenance
 from iher_robot.storage.run_directory import RunDirectory

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.network.channel_part import Note
+from iher_robot.host.network.channels import Note
 from iher_robot.host.persistence import RobotTotal
 from tests.host.test_timing import Bench
 

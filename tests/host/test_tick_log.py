@@ -16,7 +16,7 @@ from drivers import EndEffectorCommand, SimulatedClock
 from iher_robot import UserError
 from iher_robot.host.control_loop import ControlLoop
 from iher_robot.host.heartbeat import Vitals
-from iher_robot.host.network.channel_part import Channel, channel_ends
+from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.serve import serve
 from iher_robot.host.served_robot import ServedRobot

@@ -13,7 +13,7 @@ from drivers.remote.messages import Empty, LeaseRequest, Reply, ResetMessage
 from drivers.wire import Message, pack, unpack
 from iher_robot.host.control_loop import ControlLoop
 from iher_robot.host.heartbeat import Vitals
-from iher_robot.host.network.channel_part import Channel, Note, channel_ends
+from iher_robot.host.network.channels import Channel, Note, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings

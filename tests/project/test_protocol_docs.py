@@ -23,7 +23,7 @@ from drivers.wire import VERSION, Message, Part, check, pack, pack_array, unpack
 from iher_robot.host.control_loop import ControlLoop
 from iher_robot.host.heartbeat import Vitals
 from iher_robot.host.network.access import FOR_EVERYBODY, FOR_MOVERS, FOR_OPERATORS
-from iher_robot.host.network.channel_part import Channel, channel_ends
+from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings

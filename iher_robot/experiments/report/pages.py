@@ -26,8 +26,7 @@ from iher_robot.experiments.report.findings import (
     ratio_to_baseline,
 )
 from iher_robot.experiments.report.statistics import LEAST_TRIMMED, REPETITIONS
-from iher_robot.experiments.report.tables import read_tables
-from iher_robot.experiments.report.trial_table_part import trial_rows
+from iher_robot.experiments.report.tables import read_tables, trial_rows
 from iher_robot.storage.files.atomic import read_file, write_atomically
 
 

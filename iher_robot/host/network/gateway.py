@@ -15,8 +15,7 @@ from drivers.remote.keys import robot_key
 from drivers.remote.messages import ObjectMessage, StopRequest, unpack_command
 from drivers.remote.publishing import real_time_publisher
 from drivers.wire import MAX_BYTES, Message, WireError, unpack
-from iher_robot.host.network.channel_part import Channel, Note
-from iher_robot.host.network.channels import Arrivals
+from iher_robot.host.network.channels import Arrivals, Channel, Note
 
 log = logging.getLogger(__name__)
 

@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import shlex
+from pathlib import Path
 from typing import Any
 
 from iher_robot.learning.imagination.source import Progress
+from iher_robot.rollout.simulators.child_process import OwnProcess
 from iher_robot.rollout.simulators.messages import Message, pack_episodes
 from iher_robot.training.epoch import Learned, Lesson
 from iher_robot.training.learners.base import RunLearner
-from iher_robot.training.learners.learner_process_part import LearnerProcess
 from iher_robot.training.learners.messages import begin_messages
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import Workcell
+
+PROGRAM = """
+import json, os, sys
+sys.path[:] = json.loads(sys.argv[1])
+os.nice(10)  # on a busy machine the control loop goes first
+from iher_robot.training.learners.async_worker import main
+main(int(sys.argv[2]))
+"""
+"""What the process runs."""
+
+
+class LearnerProcess(OwnProcess):
+    """Starts it, talks to it, and ends it.
+
+    Args:
+        run: Folder of the run, which can be resumed later.
+    """
+
+    def __init__(self, run: Path) -> None:
+        command = f"iher-robot train --resume {shlex.quote(str(run))}"
+        super().__init__(PROGRAM, "the learner's process", f"continue with: {command}")
+
 
 _LOOK_S = 0.2
 

@@ -9,7 +9,7 @@ import pytest
 
 from iher_robot.errors import UserError
 from iher_robot.experiments.report import provenance as sources
-from iher_robot.experiments.report.trial_table_part import trial_rows
+from iher_robot.experiments.report.tables import trial_rows
 
 ROW: dict[str, Any] = {
     "cell": "reach-her-seed0",

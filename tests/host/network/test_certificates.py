@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from typer.testing import CliRunner
 
 from drivers.remote.link import link_options
-from iher_robot.cli.cli_certs_part import certs
+from iher_robot.cli.certs import certs
 from iher_robot.config.robot import choose_robot
 from iher_robot.errors import UserError
 from iher_robot.host.network.certificates import CLIENTS, issue, make_authority, make_certificates

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.storage.files.whole_folder_part import write_folder
+from iher_robot.storage.files.atomic import write_folder
 
 
 def names(folder: Path) -> list[str]:

@@ -30,9 +30,8 @@ from iher_robot.storage.episode_store import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import loop as loop_module
 from iher_robot.training.display import TrainingDisplay
-from iher_robot.training.learners import learner_process_part as learner_process_part_module
-from iher_robot.training.learners.asynchronous import LearnerBeside
-from iher_robot.training.learners.learner_process_part import LearnerProcess
+from iher_robot.training.learners import asynchronous as learner_process_part_module
+from iher_robot.training.learners.asynchronous import LearnerBeside, LearnerProcess
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import make_learner, open_workcell
 from iher_robot.training.train import resume, train
