@@ -21,7 +21,7 @@ import numpy as np
 
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.rollout.episode import Recorder
-from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.recorder import DurableRecorder
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.ledger import Ledger
@@ -40,8 +40,8 @@ class Keeping:
         self._ledger = stack.enter_context(Ledger(folder / "ledger.sqlite"))
         self._store = stack.enter_context(EpisodeStore(folder / "episodes", durable_ticks=durable))
 
-    def recorder(self, seed: int) -> KeptRecorder:
-        return KeptRecorder(
+    def recorder(self, seed: int) -> DurableRecorder:
+        return DurableRecorder(
             self._env,
             self._store,
             partial(self._ledger.reserve, "motion", TICKS, counted=True),

@@ -44,7 +44,7 @@ from iher_robot.learning.networks.mlp import in_blocks
 from iher_robot.learning.replay import BLOCK
 from iher_robot.rollout.episode import Recorder
 from iher_robot.storage.provenance import collect_provenance
-from iher_robot.training.setup import Workcell, open_workcell
+from iher_robot.training.setup import TrainingSetup, open_training_setup
 
 TRANSITIONS = 1_000_000
 SOAK_TRANSITIONS = 5_000_000
@@ -113,8 +113,8 @@ def epoch_sizes(learner: Learner) -> list[int]:
     return sizes + [episodes - sum(sizes)] * (sum(sizes) < episodes)
 
 
-def workcell(preset: str, *overrides: str) -> AbstractContextManager[Workcell]:
-    return open_workcell(load_config("push", preset, "iher", overrides, {"device": "cpu"}))
+def workcell(preset: str, *overrides: str) -> AbstractContextManager[TrainingSetup]:
+    return open_training_setup(load_config("push", preset, "iher", overrides, {"device": "cpu"}))
 
 
 def full() -> dict[str, Any]:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from iher_robot._shadowing import require_neighbours
+from iher_robot._shadowing import require_packages_beside
 from iher_robot.version import __version__
 
-require_neighbours("drivers", "tasks")
+require_packages_beside("drivers", "tasks")
 
 from drivers import (  # noqa: E402  (only once it is known that these are ours)
     ActionSpec,

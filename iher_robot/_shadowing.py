@@ -9,7 +9,7 @@ from pathlib import Path
 _SITE = Path(__file__).resolve().parent.parent
 
 
-def require_neighbours(*names: str) -> None:
+def require_packages_beside(*names: str) -> None:
     """Check that top-level packages resolve beside `iher_robot`.
 
     Args:

@@ -49,7 +49,7 @@ def make_stored(
     clipped = rng.random(length) < 0.3
     return StoredEpisode(
         epoch=epoch,
-        told_source=int(rng.integers(2)),
+        policy_source=int(rng.integers(2)),
         account=account,
         seed=int(rng.integers(2**32)),
         entry=1,

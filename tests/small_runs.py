@@ -86,7 +86,7 @@ def interruption(owner: type, name: str, call: int) -> Iterator[None]:
 
 def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs have their robot and no other to be evaluated on, as with a physical one."""
-    original = setup_module.open_workcell
+    original = setup_module.open_training_setup
 
     @contextmanager
     def without_simulator(config: Any) -> Iterator[Any]:

@@ -10,7 +10,7 @@ import typer
 from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
 from iher_robot.errors import UserError
-from iher_robot.training.learners.torchrun import read_place
+from iher_robot.training.learners.torchrun import read_torchrun_rank
 
 _BESIDE_RESUME = {"resume", "display", "simulators", "video"}
 
@@ -80,7 +80,7 @@ def train(
     ] = True,
 ) -> None:
     """Learn a task within a budget of robot minutes and leave a policy."""
-    place = read_place()
+    place = read_torchrun_rank()
     if place is not None and place.rank:
         from iher_robot.training.learners.distributed_worker import main as learn_with_others
 

@@ -89,6 +89,6 @@ def _episode_metadata(name: str, stored: StoredEpisode) -> dict[str, Any]:
         "stored_episode": stored.index,
         "epoch": stored.epoch,
         "account": stored.account,
-        "told_source": stored.told_source,
+        "told_source": stored.policy_source,
         "ended": stored.ended,
     }

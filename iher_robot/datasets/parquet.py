@@ -161,7 +161,7 @@ def _rows(name: str, stored: StoredEpisode, model: GoalModel, schema: pa.Schema)
         "epoch": np.full(length, stored.epoch),
         "account": [stored.account] * length,
         "seed": np.full(length, stored.seed),
-        "told_source": np.full(length, stored.told_source),
+        "told_source": np.full(length, stored.policy_source),
         "ended": [stored.ended] * length,
         "seq": stored.seqs,
         "elapsed": stored.elapsed,

@@ -14,7 +14,7 @@ from iher_robot.errors import describe
 from iher_robot.evaluation.compatibility import Actor
 from iher_robot.learning.goal_model import REAL
 from iher_robot.rollout.episode import choose_action
-from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.recorder import DurableRecorder
 from iher_robot.storage.episode import DONE
 
 _UNKNOWN_OUTCOME = dict.fromkeys(
@@ -42,7 +42,7 @@ def run_deployed_episode(
     env: GoalRobotEnv,
     actor: Actor,
     log: DeploymentLog,
-    recorder: KeptRecorder,
+    recorder: DurableRecorder,
     *,
     seed: int,
     ticks: int,
@@ -98,7 +98,7 @@ def _run_tick(
     actor: Actor,
     log: DeploymentLog,
     record: EpisodeRecord,
-    recorder: KeptRecorder,
+    recorder: DurableRecorder,
     observation: Observation,
 ) -> tuple[Observation, bool]:
     begun = time.perf_counter()

@@ -27,7 +27,7 @@ from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import Actor
 from iher_robot.rollout.episode import Stream, episode_seed
-from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.recorder import DurableRecorder
 from iher_robot.rollout.timing import IdleMeter
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore
@@ -52,7 +52,7 @@ class KeptEpisodes(Closing):
         self._store = EpisodeStore(directory, durable_ticks=True)
         self.idle = IdleMeter(env.driver, self._ledger)
 
-    def recorder(self, seed: int, ticks: int) -> KeptRecorder:
+    def recorder(self, seed: int, ticks: int) -> DurableRecorder:
         """What keeps and counts the ticks of the next episode.
 
         Args:
@@ -60,7 +60,7 @@ class KeptEpisodes(Closing):
             ticks: Most ticks that it will have.
         """
         self.idle.end()
-        return KeptRecorder(
+        return DurableRecorder(
             self._env,
             self._store,
             partial(self._ledger.reserve, "deployment", ticks, counted=True),

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 
 from iher_robot.experiments.folder import hold_cell, tail
-from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import read_result
 
@@ -121,7 +121,7 @@ def run_order(
     return Outcome(order.name, ending, _reason(code), lines)
 
 
-def _start(words: list[str], lock: HeldFile, log: BinaryIO) -> subprocess.Popen[bytes]:
+def _start(words: list[str], lock: LockFile, log: BinaryIO) -> subprocess.Popen[bytes]:
     """Start it; the lock is its own from then on, for as long as it lives."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     log.write(f"== {now} iher-robot {shlex.join(words)}\n".encode())

@@ -20,7 +20,7 @@ from iher_robot.experiments.manifest import Manifest, read_manifest
 from iher_robot.experiments.progress import Board
 from iher_robot.experiments.report.report import ReportResult, report
 from iher_robot.experiments.runner import Running, prepare
-from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.provenance import collect_provenance
 
 EXECUTORS = ("local", "ray")
@@ -141,7 +141,7 @@ class _Options:
         elif self.address is not None or self.ship:
             raise UserError("--address and --ship are for --executor ray; leave them out")
 
-    def make(self, cells: Sequence[Cell], lock: HeldFile) -> Executor:
+    def make(self, cells: Sequence[Cell], lock: LockFile) -> Executor:
         """Make the executor."""
         if self.executor == "ray":
             from iher_robot.experiments.ray import RayExecutor
@@ -172,7 +172,7 @@ def _run(
     chosen: Sequence[Cell],
     folder: ExperimentFolder,
     options: _Options,
-    lock: HeldFile,
+    lock: LockFile,
     *,
     display: bool,
 ) -> tuple[Outcome, ...]:

@@ -15,7 +15,7 @@ from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.experiments.metadata import cells_of, read_origin, write_origin
 from iher_robot.storage.files.atomic import read_file
-from iher_robot.storage.files.lock import HeldFile, hold_patiently, read_note
+from iher_robot.storage.files.lock import LockFile, hold_patiently, read_note
 from iher_robot.storage.run_directory import RunDirectory
 
 NOT_BEGUN = "not begun"
@@ -59,7 +59,7 @@ class ExperimentFolder:
         """Why the last process of a cell failed, if it did."""
         return self.log(name).with_suffix(".failed")
 
-    def hold(self) -> HeldFile:
+    def hold(self) -> LockFile:
         """Make the folder and hold it for this process.
 
         Raises:
@@ -69,14 +69,14 @@ class ExperimentFolder:
         self._make()
         pid = read_note(self._lock_path).get("pid")
         who = f" (process {pid})" if pid else ""
-        held = HeldFile(
+        held = LockFile(
             self._lock_path,
             f"another experiment runs in {self.path}{who}; wait for it, or choose another --out",
         )
         held.write()
         return held
 
-    def hold_report(self, patience_s: float = 30.0) -> HeldFile:
+    def hold_report(self, patience_s: float = 30.0) -> LockFile:
         """Make the folder and hold its tables and report, once nobody else writes them.
 
         Raises:
@@ -189,7 +189,7 @@ def states_told(path: Path) -> dict[str, str]:
     return {str(row.get("cell")): str(row.get("state")) for row in rows}
 
 
-def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0) -> HeldFile:
+def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0) -> LockFile:
     """Hold a cell, once an earlier process of it has ended.
 
     Args:

@@ -19,7 +19,7 @@ _REMEMBERED = 64
 _TIMED_COMMANDS = 1500
 
 
-class CommandDesk:
+class CommandHandler:
     """Takes commands as they arrive, trusts none of them, and counts what it refuses.
 
     In this order it refuses what is no command, what was sent to another start of the host,

@@ -17,8 +17,8 @@ from drivers.errors import DriverError
 from drivers.remote.messages import ObjectMessage
 from drivers.remote.state_message import HostInfo, pack_state
 from drivers.wire import WireError, unpack
-from iher_robot.host.commands import CommandDesk
-from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.commands import CommandHandler
+from iher_robot.host.heartbeat import Heartbeat
 from iher_robot.host.lease import Deadman, HostLease
 from iher_robot.host.network.channels import Channel, Note
 from iher_robot.host.persistence import RobotMemory, RobotTotal
@@ -56,7 +56,7 @@ class ControlLoop:
         total: RobotTotal,
         memory: RobotMemory,
         channel: Channel,
-        vitals: Vitals,
+        heartbeat: Heartbeat,
         clock: Clock,
         tick_log: TickLog | None = None,
     ) -> None:
@@ -68,7 +68,7 @@ class ControlLoop:
             total: The robot's own account.
             memory: What the robot remembers.
             channel: To the gateway.
-            vitals: Shared with the watchdog.
+            heartbeat: Shared with the watchdog.
             clock: Monotonic.
             tick_log: Told what the robot did in each tick.
         """
@@ -77,12 +77,12 @@ class ControlLoop:
         self._total = total
         self._memory = memory
         self._channel = channel
-        self._vitals = vitals
+        self._heartbeat = heartbeat
         self._clock = clock
         self._tick_log = tick_log
         self._lease = HostLease(settings.name, settings.lease_s, clock)
         self._deadman = Deadman(settings.deadman_s, clock)
-        self._desk = CommandDesk(
+        self._desk = CommandHandler(
             self.boot, robot, self._lease, self._deadman, clock, settings.command_age_ticks
         )
         self._requests = RequestDesk(
@@ -112,7 +112,7 @@ class ControlLoop:
         Args:
             ready: Called once the robot is open and its first state is published.
         """
-        self._vitals.promise(SLOW_S)
+        self._heartbeat.set_deadline(SLOW_S)
         reading = threading.Thread(target=self._read_channel, daemon=True, name="host channel")
         try:
             self._robot.open()
@@ -128,13 +128,13 @@ class ControlLoop:
     def tick(self) -> None:
         """One control tick."""
         period_ns = self._robot.spec.control_period_ns
-        self._vitals.promise(period_ns / 1e9 + _FROZEN_S)
+        self._heartbeat.set_deadline(period_ns / 1e9 + _FROZEN_S)
         self._next_ns += period_ns
         if self._robot.driver.paces_itself:
             self._take_until(self._published_ns + round(_LISTENING * period_ns))
         else:
             self._take_until(self._next_ns)
-        self._let_go_of_the_silent()
+        self._enforce_timeouts()
         if self._robot.driver.is_armed:
             self._total.tick("motion")
         elif self._lease.token:
@@ -156,7 +156,7 @@ class ControlLoop:
             self._next_ns = now_ns
 
     def _over(self) -> bool:
-        return self._vitals.ending or self._gateway_gone.is_set() or os.getppid() != self._parent
+        return self._heartbeat.ending or self._gateway_gone.is_set() or os.getppid() != self._parent
 
     def _take_until(self, deadline_ns: int) -> None:
         """Deal with whatever arrives until then, and with some of what has arrived in any case."""
@@ -208,13 +208,13 @@ class ControlLoop:
         else:
             self._inbox.put(note)
 
-    def _let_go_of_the_silent(self) -> None:
+    def _enforce_timeouts(self) -> None:
         armed = self._robot.driver.is_armed
         if armed and self._deadman.tripped:
             self._requests.disarm(f"no command for {self._deadman.limit_s:g} s")
         if self._lease.expire():
             self._requests.disarm("the client that had the robot has fallen silent")
-        if armed and self._vitals.unwatched_s > _UNWATCHED_S:
+        if armed and self._heartbeat.unwatched_s > _UNWATCHED_S:
             self._requests.disarm("the host's watchdog is frozen")
 
     def _publish(self) -> None:
@@ -250,7 +250,7 @@ class ControlLoop:
             self._tick_log.add(state, info, self._published_ns)
 
     def _slow(self) -> None:
-        self._vitals.promise(SLOW_S)
+        self._heartbeat.set_deadline(SLOW_S)
         self._was_slow = True
 
     def _timing(self) -> dict[str, Any]:

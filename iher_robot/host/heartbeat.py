@@ -14,7 +14,7 @@ class _Slot(IntEnum):
     ENDING = 2
 
 
-class Vitals:
+class Heartbeat:
     """What control loop and watchdog know of each other.
 
     The loop promises when it will be back, at each tick and before whatever takes longer; the
@@ -25,7 +25,7 @@ class Vitals:
         """Make the shared memory, for processes of this context."""
         self._slots: Any = context.Array("q", len(_Slot), lock=False)
 
-    def promise(self, seconds: float) -> None:
+    def set_deadline(self, seconds: float) -> None:
         """The loop will be back within this time."""
         self._slots[_Slot.BACK_BY] = time.monotonic_ns() + round(seconds * 1e9)
 
@@ -35,7 +35,7 @@ class Vitals:
         promised = self._slots[_Slot.BACK_BY]
         return float("-inf") if promised == 0 else (time.monotonic_ns() - promised) / 1e9
 
-    def look(self) -> None:
+    def beat(self) -> None:
         """The watchdog looks."""
         self._slots[_Slot.WATCHDOG] = time.monotonic_ns()
 

@@ -22,7 +22,7 @@ from drivers.remote.messages import (
 )
 from drivers.wire import WireError, pack, unpack
 from iher_robot.errors import UserError
-from iher_robot.host.commands import CommandDesk
+from iher_robot.host.commands import CommandHandler
 from iher_robot.host.lease import Deadman, HostLease
 from iher_robot.host.persistence import RobotTotal
 from iher_robot.host.served_robot import ServedRobot
@@ -57,7 +57,7 @@ class RequestDesk:
         boot: str,
         robot: ServedRobot,
         lease: HostLease,
-        desk: CommandDesk,
+        desk: CommandHandler,
         deadman: Deadman,
         total: RobotTotal,
         fixed_scene: str | None,

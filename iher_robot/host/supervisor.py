@@ -22,7 +22,7 @@ from drivers.clock import MonotonicClock
 from drivers.gate import Fault
 from iher_robot.errors import UserError
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.heartbeat import Heartbeat
 from iher_robot.host.network.access import gateway_config
 from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.network.gateway import Gateway
@@ -60,7 +60,7 @@ class Host:
         self._settings = settings
         self._holder = holder
         self._context: SpawnContext = multiprocessing.get_context("spawn")
-        self._vitals = Vitals(self._context)
+        self._heartbeat = Heartbeat(self._context)
         self._robot: SpawnProcess | None = None
         self._gateway: SpawnProcess | None = None
 
@@ -70,7 +70,7 @@ class Host:
         Raises:
             HostFailed: One of them could not start; both have ended.
         """
-        self._vitals.look()
+        self._heartbeat.beat()
         robot_end, gateway_end = channel_ends()
         try:
             self._robot = self._begin(run_robot, robot_end)
@@ -91,8 +91,8 @@ class Host:
         """
         assert self._robot is not None and self._gateway is not None  # noqa: PT018
         while True:
-            self._vitals.look()
-            if self._vitals.overdue_s > 0:
+            self._heartbeat.beat()
+            if self._heartbeat.overdue_s > 0:
                 self._intervene()
             for process, what in ((self._robot, "robot process"), (self._gateway, "gateway")):
                 if not process.is_alive():
@@ -107,13 +107,13 @@ class Host:
 
     def stop(self) -> None:
         """End both processes; the robot is held, disarmed and disconnected first."""
-        self._vitals.end()
+        self._heartbeat.end()
         for process in (self._robot, self._gateway):
             if process is None:
                 continue
             deadline = time.monotonic() + _END_S
             while process.is_alive() and time.monotonic() < deadline:
-                self._vitals.look()
+                self._heartbeat.beat()
                 process.join(_LOOK_S)
             if process.is_alive():
                 log.error("%s does not end by itself and is killed", process.name)
@@ -123,7 +123,7 @@ class Host:
     def _intervene(self) -> None:
         """Hold the robot of a control loop that does not come back."""
         assert self._robot is not None
-        overdue_ms = 1e3 * self._vitals.overdue_s
+        overdue_ms = 1e3 * self._heartbeat.overdue_s
         # It may wake up at any time and go on as if nothing had happened.
         self._robot.kill()
         self._robot.join()
@@ -150,14 +150,16 @@ class Host:
     def _begin(self, target: Callable[..., None], end: socket.socket) -> SpawnProcess:
         receiving, sending = self._context.Pipe(duplex=False)
         process = self._context.Process(
-            target=target, args=(self._settings, self._vitals, end, sending), name=target.__name__
+            target=target,
+            args=(self._settings, self._heartbeat, end, sending),
+            name=target.__name__,
         )
         process.start()
         sending.close()
         with receiving:
             deadline = time.monotonic() + _START_S
             while not receiving.poll(_LOOK_S):
-                self._vitals.look()
+                self._heartbeat.beat()
                 if time.monotonic() > deadline:
                     process.kill()
                     raise HostFailed(f"{target.__name__} did not start within {_START_S:g} s")
@@ -176,13 +178,13 @@ class Host:
 
 
 def run_robot(
-    settings: HostSettings, vitals: Vitals, end: socket.socket, starter: Connection
+    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, starter: Connection
 ) -> None:
     """Be the robot process.
 
     Args:
         settings: Of the host.
-        vitals: Shared with the watchdog.
+        heartbeat: Shared with the watchdog.
         end: Channel to the gateway.
         starter: Told what is wrong, nothing if the robot is ready to be served.
     """
@@ -198,7 +200,7 @@ def run_robot(
             make = partial(_make_served, settings)
             robot = ServedRobot(make, settings.scene, memory, settings.perception, clock)
             channel = Channel(end)
-            loop = ControlLoop(settings, robot, total, memory, channel, vitals, clock, tick_log)
+            loop = ControlLoop(settings, robot, total, memory, channel, heartbeat, clock, tick_log)
             loop.run(lambda: _say(starter, _READY))
     except (UserError, DriverError) as error:
         if starter.closed:
@@ -208,10 +210,10 @@ def run_robot(
 
 
 def run_gateway(
-    settings: HostSettings, vitals: Vitals, end: socket.socket, starter: Connection
+    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, starter: Connection
 ) -> None:
     """Be the gateway; see `run_robot`."""
-    del vitals
+    del heartbeat
     _leave_signals_to_the_watchdog()
     _run_before_others(_GATEWAY_PRIORITY)
     try:

@@ -108,7 +108,7 @@ class DDPG:
         self._target_critics = copy.deepcopy(self.critics)
         self._flat = {name: Flat(module) for name, module in self._modules().items()}
         # What other processes take part in is not recorded.
-        graphs = config.cuda_graphs and device.type == "cuda" and peers.count == 1
+        graphs = config.cuda_graphs and device.type == "cuda" and peers.world_size == 1
         self._captured = Captured() if graphs else None
         self._optimizers = {
             name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True, capturable=graphs)
@@ -196,7 +196,7 @@ class DDPG:
         return self._captured.run((count, phase), tensors, partial(self._take_captured, phase))
 
     def _averaged(self, report: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        if self._peers.count == 1:
+        if self._peers.world_size == 1:
             return report
         values = torch.cat(list(report.values()))
         self._peers.average(values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from iher_robot.learning.config import ExplorationConfig
-from iher_robot.learning.contact.approach import ContactPolicy, Play
+from iher_robot.learning.contact.approach import ApproachEpisode, ContactPolicy
 from iher_robot.learning.policy import explore
 
 
@@ -20,7 +20,7 @@ class Explorer:
     def __init__(self, config: ExplorationConfig, contact: ContactPolicy | None = None) -> None:
         self.config = config
         self._contact = contact
-        self._play: Play | None = None
+        self._play: ApproachEpisode | None = None
         self._fresh = True
 
     def begin(self) -> None:

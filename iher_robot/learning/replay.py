@@ -75,7 +75,7 @@ class Transitions:
             count: Batches, one behind the other.
             peers: The learners.
         """
-        if peers.count == 1:
+        if peers.world_size == 1:
             return self
         fields = Transitions.__dataclass_fields__
         return Transitions(**{f: own_rows(getattr(self, f), count, peers) for f in fields})

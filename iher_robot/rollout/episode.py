@@ -56,14 +56,14 @@ class Recorder:
             moved in it.
         success: Whether the last step met the goal.
         aborted: Why the episode could not go on, empty if it could.
-        told_source: Source that the policy is told.
+        policy_source: Source that the policy is told.
     """
 
     def __init__(self) -> None:
         self.ticks = 0
         self.success = False
         self.aborted = ""
-        self.told_source = REAL
+        self.policy_source = REAL
         self._start: Observation | None = None
         self._ticks: list[RecordedTick] = []
 
@@ -164,13 +164,13 @@ def run_episode(
     if explorer is not None:
         explorer.begin()
         if torch.rand((), generator=generator) < explorer.config.source_flip:
-            recorder.told_source = IMAGINED
+            recorder.policy_source = IMAGINED
     try:
         observation, _ = env.reset(seed=seed)
         recorder.start(observation)
         with _without_garbage_collection():
             while recorder.ticks < ticks:
-                action = choose_action(policy, observation, recorder.told_source)
+                action = choose_action(policy, observation, recorder.policy_source)
                 if explorer is not None:
                     action = explorer.act(_row(observation["observation"]), action, generator)
                 observation, _ = recorder.step(env, action[0].numpy())

@@ -14,7 +14,7 @@ LONGEST_PAUSE_S = 5.0
 _GROWTH = 2.0
 
 
-class Patience:
+class ReconnectPolicy:
     """Waits for one robot, in pauses that grow.
 
     Args:
@@ -48,7 +48,7 @@ class Patience:
             error: Why the last one failed.
 
         Raises:
-            UserError: Patience is over.
+            UserError: ReconnectPolicy is over.
         """
         now_ns = self._clock.now_ns()
         if self._since_ns is None:

@@ -19,7 +19,7 @@ RESET_AHEAD_S = 120.0
 """Robot time that is written down before a reset: nobody knows how long it will take."""
 
 
-class KeptRecorder(Recorder):
+class DurableRecorder(Recorder):
     """Writes every tick down: that it begins before it does, and what became of it after.
 
     A ``with`` block around the episode seals it and settles its account, whatever ends it.
@@ -52,7 +52,7 @@ class KeptRecorder(Recorder):
         self._jitter = jitter
         self._stack = ExitStack()
 
-    def __enter__(self) -> KeptRecorder:
+    def __enter__(self) -> DurableRecorder:
         self._entry = self._stack.enter_context(self._reserve())
         ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
         self._reset: Entry | None = self._stack.enter_context(self._ledger.reserve("reset", ahead))
@@ -75,7 +75,7 @@ class KeptRecorder(Recorder):
         if self._jitter is not None:
             self._jitter.begin()
         self._settle_reset()
-        header = self._header(self.told_source, self._entry.number)
+        header = self._header(self.policy_source, self._entry.number)
         self._store.begin(header, observation["observation"], observation["desired_goal"])
 
     def _charge(self, ticks: int) -> None:

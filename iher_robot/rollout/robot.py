@@ -11,8 +11,8 @@ from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.exploration import Explorer
 from iher_robot.learning.policy import Policy
 from iher_robot.rollout.episode import Recorder, run_episode
-from iher_robot.rollout.reconnect import Patience
-from iher_robot.rollout.recorder import KeptRecorder
+from iher_robot.rollout.reconnect import ReconnectPolicy
+from iher_robot.rollout.recorder import DurableRecorder
 from iher_robot.rollout.timing import IdleMeter, TickJitter
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import EpisodeHeader
@@ -34,7 +34,7 @@ class RobotEpisodes(Closing):
     """
 
     def __init__(
-        self, env: GoalRobotEnv, store: EpisodeStore, ledger: Ledger, patience: Patience
+        self, env: GoalRobotEnv, store: EpisodeStore, ledger: Ledger, patience: ReconnectPolicy
     ) -> None:
         self._env = env
         self._store = store
@@ -105,8 +105,8 @@ class RobotEpisodes(Closing):
         reserve: Callable[[], AbstractContextManager[Entry]],
         epoch: int,
         seed: int,
-    ) -> KeptRecorder:
-        return KeptRecorder(
+    ) -> DurableRecorder:
+        return DurableRecorder(
             self._env,
             self._store,
             reserve,

@@ -23,6 +23,9 @@ from iher_robot.storage.files.atomic import check_seal, seal_zip
 DONE = "done"
 """How an episode ended that nothing cut short."""
 
+_FILE_NAMES = {"policy_source": "told_source"}
+"""Names in files, where they differ from the attributes."""
+
 # What numpy and zipfile raise on a foreign archive.
 UNREADABLE = (
     AttributeError,
@@ -44,23 +47,22 @@ class EpisodeHeader:
 
     Attributes:
         epoch: Epoch that it belongs to.
-        told_source: Source that the policy was told.
+        policy_source: Source that the policy was told.
         account: Account that its ticks are charged to.
         seed: Decided its start, its goal and the noise.
         entry: Number of the reservation in the run's ledger.
     """
 
     epoch: int
-    told_source: int
+    policy_source: int
     account: Account
     seed: int
     entry: int
 
     def to_json(self) -> str:
         """Text for ``from_json``."""
-        return json.dumps(
-            {f.name: getattr(self, f.name) for f in dataclasses.fields(EpisodeHeader)}
-        )
+        names = [field.name for field in dataclasses.fields(EpisodeHeader)]
+        return json.dumps({_FILE_NAMES.get(name, name): getattr(self, name) for name in names})
 
     @staticmethod
     def from_json(text: str) -> EpisodeHeader:
@@ -70,8 +72,11 @@ class EpisodeHeader:
             ValueError: It is something else.
         """
         try:
-            header = EpisodeHeader(**json.loads(text))
-        except TypeError as error:
+            values = json.loads(text)
+            for attribute, name in _FILE_NAMES.items():
+                values[attribute] = values.pop(name)
+            header = EpisodeHeader(**values)
+        except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(str(error)) from error
         if header.account not in ACCOUNTS:
             raise ValueError(f"account {header.account!r} does not exist")
@@ -151,7 +156,7 @@ class StoredEpisode(EpisodeHeader):
     @property
     def header(self) -> EpisodeHeader:
         """What was known before its first tick."""
-        return EpisodeHeader(self.epoch, self.told_source, self.account, self.seed, self.entry)
+        return EpisodeHeader(self.epoch, self.policy_source, self.account, self.seed, self.entry)
 
     def ticks(self) -> list[RecordedTick]:
         """Its ticks, as they were recorded."""

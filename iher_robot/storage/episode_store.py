@@ -21,7 +21,7 @@ from iher_robot.storage.episode import (
 )
 from iher_robot.storage.episode_journal import EpisodeIndex, Running
 from iher_robot.storage.files.atomic import TEMPORARY_SUFFIX, read_file, write_atomically
-from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.files.lock import LockFile
 
 CUT_OFF = "cut off: the program ended in it"
 
@@ -137,7 +137,7 @@ class EpisodeStore(EpisodeReader):
             directory.mkdir(exist_ok=True)
         except OSError as error:
             raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
-        self._lock = HeldFile(
+        self._lock = LockFile(
             directory / _LOCK, f"episode folder {directory} is in use by another run"
         )
         try:

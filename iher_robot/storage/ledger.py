@@ -16,7 +16,7 @@ from iher_robot.storage.accounts import (
     begun_ticks,
     lock_path,
 )
-from iher_robot.storage.files.lock import HeldFile
+from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.files.sqlite import Database
 
 
@@ -86,7 +86,7 @@ class Ledger(Closing):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._lock = HeldFile(
+        self._lock = LockFile(
             lock_path(path),
             f"ledger {path} is in use: another run works in this folder, wait for it to end or "
             "stop it",

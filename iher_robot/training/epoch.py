@@ -28,7 +28,7 @@ class CollectedEpoch:
 
 
 @dataclass(frozen=True)
-class Lesson:
+class EpochData:
     """What the learner is given of an epoch.
 
     Attributes:
@@ -55,5 +55,5 @@ class Learned:
         metrics: Of learning, and of an evaluation in simulation.
     """
 
-    lesson: Lesson
+    lesson: EpochData
     metrics: Mapping[str, float]

@@ -20,7 +20,7 @@ from iher_robot.evaluation.success_rate import Outcome, evaluate_learner
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.episode import Recorder, Stream, episode_seed
-from iher_robot.rollout.reconnect import Patience
+from iher_robot.rollout.reconnect import ReconnectPolicy
 from iher_robot.rollout.robot import RobotEpisodes
 from iher_robot.rollout.simulators.collect import SimulatedEpisodes
 from iher_robot.signals import end_if_terminated
@@ -31,12 +31,12 @@ from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import write_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.display import TrainingDisplay
-from iher_robot.training.epoch import CollectedEpoch, Learned, Lesson, Row
-from iher_robot.training.learners.asynchronous import LearnerBeside, LearnerProcess
-from iher_robot.training.learners.base import LearnerInTurn, RunLearner
-from iher_robot.training.learners.distributed import LearnerWithPeers
+from iher_robot.training.epoch import CollectedEpoch, EpochData, Learned, Row
+from iher_robot.training.learners.asynchronous import AsyncLearner, LearnerProcess
+from iher_robot.training.learners.base import RunLearner, SyncLearner
+from iher_robot.training.learners.distributed import DistributedLearner
 from iher_robot.training.recovery import restore
-from iher_robot.training.setup import CPU, Workcell
+from iher_robot.training.setup import CPU, TrainingSetup
 
 MOVED_M = 0.01
 """Displacement of the achieved goal from which an episode counts as one that moved it."""
@@ -58,7 +58,7 @@ class TrainingRun:
 
     def __init__(
         self,
-        cell: Workcell,
+        cell: TrainingSetup,
         directory: RunDirectory,
         ledger: Ledger,
         store: EpisodeStore,
@@ -75,7 +75,7 @@ class TrainingRun:
         self.budget = Budget(ledger, cell.budget_ticks)
         self.store = store
         self.display = display
-        patience = Patience(
+        patience = ReconnectPolicy(
             cell.env.driver,
             self.config.patience_minutes,
             directory.path,
@@ -102,10 +102,10 @@ class TrainingRun:
 
     def _make_learning(self) -> RunLearner:
         if self.config.asynchronous:
-            return LearnerBeside(self.cell, LearnerProcess(self.directory.path), self._phase)
+            return AsyncLearner(self.cell, LearnerProcess(self.directory.path), self._phase)
         if self.cell.group is not None:
-            return LearnerWithPeers(self.cell, self.cell.group, self.directory.path, self._phase)
-        return LearnerInTurn(self.cell, self._phase)
+            return DistributedLearner(self.cell, self.cell.group, self.directory.path, self._phase)
+        return SyncLearner(self.cell, self._phase)
 
     def run(self) -> Row:
         """Train until the budget is spent or the success rate is reached.
@@ -166,7 +166,7 @@ class TrainingRun:
     def _spent(self) -> bool:
         return self.budget.remaining_ticks == 0
 
-    def _next_lesson(self) -> Lesson | None:
+    def _next_lesson(self) -> EpochData | None:
         """The next epoch to learn from, collected as far as the budget goes; None without one."""
         under_way = self.learning.under_way
         if under_way is not None and under_way.earlier:
@@ -228,7 +228,7 @@ class TrainingRun:
         if outcome.aborted and self.cell.simulator is None:  # a robot that somebody looks after
             self.display.announce(f"{outcome.aborted} (after {outcome.ticks} ticks)")
 
-    def _lesson(self, epoch: CollectedEpoch) -> Lesson:
+    def _lesson(self, epoch: CollectedEpoch) -> EpochData:
         """Put an epoch together with what is known of it; those that follow it do not count."""
         ticks = self.budget.spent_ticks - sum(later.ticks for later in self.pending)
         known: Row = {
@@ -240,7 +240,7 @@ class TrainingRun:
         # What earlier data are worth is to be known before the robot moves.
         first = epoch.number == 1 and bool(self.config.from_data)
         last = self._spent and not self.pending
-        return Lesson(
+        return EpochData(
             epoch=epoch.number,
             episodes=epoch.episodes,
             evaluate=first or last or epoch.number % self.config.evaluation.every_epochs == 0,

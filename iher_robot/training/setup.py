@@ -21,14 +21,14 @@ from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.rollout.simulators.pool import SimulatorPool
 from iher_robot.storage.budget import budget_ticks
 from iher_robot.training.learners.process_group import PeerGroup
-from iher_robot.training.learners.torchrun import read_place
+from iher_robot.training.learners.torchrun import read_torchrun_rank
 from tasks import GoalTask
 
 CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
-class Workcell:
+class TrainingSetup:
     """Robot and learner of a run.
 
     Attributes:
@@ -108,7 +108,7 @@ class Workcell:
 
 
 @contextmanager
-def open_workcell(config: RunConfig) -> Iterator[Workcell]:
+def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
     """Make robot and learner, and leave the robot held and disarmed in the end.
 
     Args:
@@ -133,11 +133,11 @@ def open_workcell(config: RunConfig) -> Iterator[Workcell]:
             config, env.task, CPU if config.asynchronous else device, group or ALONE
         )
         ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
-        yield Workcell(config, env, simulator, pool, learner, ticks, group)
+        yield TrainingSetup(config, env, simulator, pool, learner, ticks, group)
 
 
 def _make_group(config: RunConfig) -> PeerGroup | None:
-    place = read_place()
+    place = read_torchrun_rank()
     if place is None:
         return None
     if place.rank:

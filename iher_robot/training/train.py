@@ -33,7 +33,7 @@ from iher_robot.storage.run_directory import RunDirectory, default_run_path
 from iher_robot.storage.run_result import RunResult, write_result
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.loop import TrainingRun
-from iher_robot.training.setup import Workcell, open_workcell
+from iher_robot.training.setup import TrainingSetup, open_training_setup
 from iher_robot.training.warm_start import check_sources, copy_sources
 from tasks import canonical_name
 
@@ -165,7 +165,7 @@ def train(
         require_film(config.chosen_robot, task)
     path = out or default_run_path(task, algo, preset, config.seed)
     # The robot is made first: a bad driver or budget should leave no folder behind.
-    with open_workcell(config) as cell:
+    with open_training_setup(config) as cell:
         check_sources(config.from_data, cell.env.policy_interface())
         directory = RunDirectory.create(path, dump_config(config))
         return _run(cell, directory, display=display, video=video)
@@ -199,15 +199,17 @@ def resume(
         config = change_simulators(config, simulators)
     if video:
         require_film(config.chosen_robot, config.task)
-    with open_workcell(config) as cell:
+    with open_training_setup(config) as cell:
         return _run(cell, opened, display=display, video=video)
 
 
-def _run(cell: Workcell, directory: RunDirectory, *, display: bool, video: bool) -> TrainResult:
+def _run(
+    cell: TrainingSetup, directory: RunDirectory, *, display: bool, video: bool
+) -> TrainResult:
     config = cell.config
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     if cell.group is not None:
-        provenance["processes"] = cell.group.count
+        provenance["processes"] = cell.group.world_size
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
@@ -270,7 +272,7 @@ def _ask(operator: Operator, shown: TrainingDisplay, message: str) -> None:
 
 
 def _final_evaluation(
-    cell: Workcell, directory: RunDirectory, *, video: bool
+    cell: TrainingSetup, directory: RunDirectory, *, video: bool
 ) -> EvaluationResult | None:
     config = cell.config
     episodes = config.evaluation.final_episodes or (FILMED_EPISODES if video else 0)

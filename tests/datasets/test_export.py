@@ -86,8 +86,9 @@ def test_parquet_holds_every_tick_exactly(
         "tick": expected(lambda one: np.arange(len(one.episode))),
         **{
             name: of_each(lambda one, name=name: getattr(one, name))  # type: ignore[misc]
-            for name in ("epoch", "account", "seed", "told_source", "ended")
+            for name in ("epoch", "account", "seed", "ended")
         },
+        "told_source": of_each(lambda one: one.policy_source),
         "episode": of_each(lambda one: one.index),
         "run": of_each(lambda one: "run"),
     }.items():
@@ -138,7 +139,7 @@ def test_minari_holds_every_valid_tick_exactly_and_no_transition_spans_another(
         assert (np.diff(found.infos["seq"]) == 1).all()
         assert (told["run"], told["stored_episode"]) == ("run", one.index)
         assert (told["account"], told["epoch"]) == (one.account, one.epoch)
-        assert (told["told_source"], told["ended"]) == (one.told_source, one.ended)
+        assert (told["told_source"], told["ended"]) == (one.policy_source, one.ended)
         assert told.get("seed") == (one.seed if ticks[0] == 0 else None)
 
 

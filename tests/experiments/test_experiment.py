@@ -13,7 +13,7 @@ from iher_robot.errors import UserError
 from iher_robot.experiments import experiment as experiment_module
 from iher_robot.experiments.experiment import experiment
 from iher_robot.experiments.folder import ExperimentFolder, hold_cell
-from iher_robot.storage.files.lock import FileHeld, HeldFile
+from iher_robot.storage.files.lock import FileHeld, LockFile
 from iher_robot.storage.run_result import read_result
 from tests.experiments.small import (
     EPOCH_MINUTES,
@@ -72,12 +72,12 @@ def test_an_experiment_that_is_killed_goes_on(tmp_path: Path) -> None:
 
 def test_a_cell_waits_for_its_earlier_process(tmp_path: Path) -> None:
     path = tmp_path / "cell.lock"
-    earlier = HeldFile(path, "held")
+    earlier = LockFile(path, "held")
     threading.Timer(0.3, earlier.close).start()
 
     with hold_cell(path, lambda: False):
         pass
-    with HeldFile(path, "held"):
+    with LockFile(path, "held"):
         with pytest.raises(FileHeld, match="an earlier process of cell still runs"):
             hold_cell(path, lambda: False, patience_s=0.0)
         with pytest.raises(FileHeld):

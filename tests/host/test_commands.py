@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drivers import EndEffectorCommand, SimulatedClock
 from drivers.remote.messages import command_fields
 from drivers.wire import pack
-from iher_robot.host.commands import CommandDesk
+from iher_robot.host.commands import CommandHandler
 from iher_robot.host.lease import Deadman, HostLease
 from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
@@ -30,7 +30,7 @@ class Bench:
         self.robot.open()
         self.lease = HostLease("fake", 2.0, self.clock)
         self.deadman = Deadman(0.2, self.clock)
-        self.desk = CommandDesk("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
+        self.desk = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
         self.token = self.lease.acquire("session", "a test")
         self.robot.driver.arm()
         self.publish()

@@ -54,7 +54,7 @@ def test_a_frozen_loop_is_killed_held_and_latched_whatever_the_holder_does(
 ) -> None:
     holder, robot = _Holder(fails), _Process(alive=True)
     host = _host(tmp_path, holder, robot)
-    host._vitals.promise(0.0)
+    host._heartbeat.set_deadline(0.0)
     time.sleep(0.01)
     with pytest.raises(HostFailed, match="clear-fault watchdog"):
         host.watch()

@@ -15,7 +15,7 @@ import pytest
 from drivers import EndEffectorCommand, SimulatedClock
 from iher_robot import UserError
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.heartbeat import Heartbeat
 from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.serve import serve
@@ -37,10 +37,10 @@ class Bench:
         served = ServedRobot(lambda _: self.robot, "push", memory, (), clock)
         settings = HostSettings("fake", "fake", {}, ("tcp/127.0.0.1:1",), folder)
         self.ends = channel_ends()
-        vitals = Vitals(multiprocessing.get_context("spawn"))
-        vitals.look()
+        heartbeat = Heartbeat(multiprocessing.get_context("spawn"))
+        heartbeat.beat()
         channel = Channel(self.ends[1])
-        self.loop = ControlLoop(settings, served, total, memory, channel, vitals, clock, log)
+        self.loop = ControlLoop(settings, served, total, memory, channel, heartbeat, clock, log)
         served.open()
         self.loop._next_ns = clock.now_ns()
 

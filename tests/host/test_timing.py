@@ -12,7 +12,7 @@ from drivers import ResetRequest, ResetResult, SimulatedClock
 from drivers.remote.messages import Empty, LeaseRequest, Reply, ResetMessage
 from drivers.wire import Message, pack, unpack
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.heartbeat import Heartbeat
 from iher_robot.host.network.channels import Channel, Note, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
@@ -48,9 +48,9 @@ class Bench:
         settings = HostSettings("fake", "fake", {}, ("tcp/127.0.0.1:1",), folder)
         self._ends = channel_ends()
         self._gateway = Channel(self._ends[0])
-        channel, vitals = Channel(self._ends[1]), Vitals(multiprocessing.get_context("spawn"))
-        vitals.look()
-        self.loop = ControlLoop(settings, served, total, memory, channel, vitals, self.clock)
+        channel, heartbeat = Channel(self._ends[1]), Heartbeat(multiprocessing.get_context("spawn"))
+        heartbeat.beat()
+        self.loop = ControlLoop(settings, served, total, memory, channel, heartbeat, self.clock)
         served.open()
         self.loop._next_ns = self.clock.now_ns()
         self.loop._publish()

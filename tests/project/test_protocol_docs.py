@@ -21,7 +21,7 @@ from drivers.remote.link import client_config
 from drivers.remote.messages import Empty, Reply, check_command, unpack_command
 from drivers.wire import VERSION, Message, Part, check, pack, pack_array, unpack, unpack_map
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.heartbeat import Vitals
+from iher_robot.host.heartbeat import Heartbeat
 from iher_robot.host.network.access import FOR_EVERYBODY, FOR_MOVERS, FOR_OPERATORS
 from iher_robot.host.network.channels import Channel, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
@@ -189,10 +189,10 @@ def test_every_field_of_a_status_is_on_the_page(tmp_path: Path) -> None:
     clock, (one, other) = SimulatedClock(10**9), channel_ends()
     served = ServedRobot(lambda _: FakeRobot(), "push", RobotMemory(tmp_path), (), clock)
     settings = HostSettings("fake", "fake", {}, ("tcp/127.0.0.1:1",), tmp_path)
-    vitals = Vitals(multiprocessing.get_context("spawn"))
+    heartbeat = Heartbeat(multiprocessing.get_context("spawn"))
     with one, other, RobotTotal(tmp_path, "fake") as total:
         loop = ControlLoop(
-            settings, served, total, RobotMemory(tmp_path), Channel(other), vitals, clock
+            settings, served, total, RobotMemory(tmp_path), Channel(other), heartbeat, clock
         )
         served.open()
         reply = unpack(Reply, loop._requests.answer("status", pack(Empty())))

@@ -27,7 +27,7 @@ from iher_robot.storage.files.sqlite import Database
 
 def make_stored(seed: int, length: int = 6, **header: Any) -> StoredEpisode:
     rng = np.random.default_rng(seed)
-    values: dict[str, Any] = {"epoch": seed // 2, "told_source": seed % 2, "account": "motion"}
+    values: dict[str, Any] = {"epoch": seed // 2, "policy_source": seed % 2, "account": "motion"}
     return StoredEpisode(
         **(values | {"seed": 7 * seed, "entry": seed + 1} | header),
         index=0,

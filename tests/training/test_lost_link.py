@@ -25,7 +25,7 @@ from iher_robot.storage.ledger import Ledger
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.loop import TrainingRun
-from iher_robot.training.setup import open_workcell
+from iher_robot.training.setup import open_training_setup
 from iher_robot.training.train import resume, train
 from tests.drivers.fake_robot import FakeRobot, fake_spec
 from tests.small_runs import TINY_LEARNER
@@ -354,7 +354,7 @@ def test_the_meaning_of_the_budget_says_how_long_the_robot_moves(
 ) -> None:
     overrides = ["budget_minutes=2", "evaluation.robot_episodes=4"]
     config = load_config("reach", "paper", "iher", overrides, {"driver": "fake", "device": "cpu"})
-    with open_workcell(config) as cell:
+    with open_training_setup(config) as cell:
         assert cell.simulator is None
         simulated = cell.meaning_of_budget(cell.budget_ticks, 0)
         monkeypatch.setattr(RemoteRobot, "paces_itself", True)

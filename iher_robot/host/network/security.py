@@ -51,7 +51,7 @@ class HostSecurity(_Section):
     """Who has which role; anybody else may do nothing."""
 
     @model_validator(mode="after")
-    def _hangs_together(self) -> HostSecurity:
+    def _validate_roles(self) -> HostSecurity:
         names = self.roles.names()
         if self.tls is None and self.users is None:
             raise ValueError("roles need names that clients can prove; give tls, users or both")

@@ -35,7 +35,9 @@ class ContactPolicy:
         self._model = model
         self._config = config
 
-    def begin(self, observation: torch.Tensor, generator: torch.Generator) -> Play | None:
+    def begin(
+        self, observation: torch.Tensor, generator: torch.Generator
+    ) -> ApproachEpisode | None:
         """Begin an episode; None where this policy has no part in it.
 
         Args:
@@ -44,7 +46,7 @@ class ContactPolicy:
         """
         if self._rests and not _chance(self._config.episodes, generator):
             return None
-        return Play(self, self._model, self._config, observation, generator)
+        return ApproachEpisode(self, self._model, self._config, observation, generator)
 
     def act(self, observation: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
         """Action towards a place, without noise. ``(1, obs_dim), (1, 3) -> (1, action_dim)``"""
@@ -52,7 +54,7 @@ class ContactPolicy:
         return self._policy.act(observation, place, source)
 
 
-class Play:
+class ApproachEpisode:
     """One episode of going to the object, leg by leg: to a point around it, or to itself.
 
     In a leg the hand, if there is one, is told the same all the way: to open on the way to the

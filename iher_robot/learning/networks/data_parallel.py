@@ -20,7 +20,7 @@ class Peers(Protocol):
         """Number of this one, from 0."""
 
     @property
-    def count(self) -> int:
+    def world_size(self) -> int:
         """How many there are."""
 
     def average(self, tensor: torch.Tensor, /) -> None:
@@ -29,7 +29,7 @@ class Peers(Protocol):
 
 class _Alone:
     rank = 0
-    count = 1
+    world_size = 1
 
     def average(self, tensor: torch.Tensor, /) -> None:
         """The mean of one is what it is."""
@@ -48,12 +48,12 @@ def own_rows(block: torch.Tensor, batches: int, peers: Peers) -> torch.Tensor:
         peers: The learners.
 
     Returns:
-        An equal share of each batch. ``(batches * size / peers.count, ...)``
+        An equal share of each batch. ``(batches * size / peers.world_size, ...)``
     """
-    if peers.count == 1:
+    if peers.world_size == 1:
         return block
-    assert len(block) % (batches * peers.count) == 0, (len(block), batches, peers.count)
-    shares: torch.Tensor = block.unflatten(0, (batches, peers.count, -1))
+    assert len(block) % (batches * peers.world_size) == 0, (len(block), batches, peers.world_size)
+    shares: torch.Tensor = block.unflatten(0, (batches, peers.world_size, -1))
     return shares[:, peers.rank].flatten(0, 1)
 
 
@@ -68,8 +68,9 @@ def require_equal_shares(name: str, size: int, peers: Peers) -> None:
     Raises:
         ValueError: The shares would not be equal.
     """
-    if size % peers.count:
+    if size % peers.world_size:
         raise ValueError(
-            f"{name} is {size}, which {peers.count} processes cannot share equally, allowed: a "
-            f"multiple of {peers.count}; change it, or start another number of processes"
+            f"{name} is {size}, which {peers.world_size} processes cannot share equally, "
+            f"allowed: a multiple of {peers.world_size}; change it, or start another number "
+            "of processes"
         )

@@ -24,7 +24,7 @@ _END_S = 5.0
 _KEPT = "nothing recorded is lost"
 
 
-class OwnProcess(Closing):
+class ChildProcess(Closing):
     """Starts a program, talks to it, and ends it.
 
     A program of its own rather than a child of ``multiprocessing``: that would run the user's

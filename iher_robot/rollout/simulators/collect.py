@@ -170,7 +170,7 @@ def _stored(one: _UnderWay, episode: SimulatedEpisode, begins: int) -> StoredEpi
     assert episode.data is not None
     return StoredEpisode(
         epoch=one.epoch,
-        told_source=episode.told_source,
+        policy_source=episode.policy_source,
         account="motion",
         seed=one.seed,
         entry=one.motion.number,

@@ -39,7 +39,7 @@ class SimulatedEpisode:
         reset_ticks: Control ticks that the reset took.
         success: Whether the last step met the goal.
         aborted: Why the episode could not go on, empty if it could.
-        told_source: Source that the policy was told.
+        policy_source: Source that the policy was told.
         ended: How it ended, in words.
         failure: A sentence for the user where an error ended it, else empty.
         steps: For each tick, the simulator's counter at its end, from the end of the reset on.
@@ -52,7 +52,7 @@ class SimulatedEpisode:
     reset_ticks: int
     success: bool
     aborted: str
-    told_source: int
+    policy_source: int
     ended: str
     failure: str
     steps: NDArray[np.int64]
@@ -112,7 +112,7 @@ class SentRecorder(Recorder):
             "reset_ticks": self._ticks_since_begun() if reset_ticks is None else reset_ticks,
             "success": self.success,
             "aborted": self.aborted,
-            "told_source": self.told_source,
+            "policy_source": self.policy_source,
             "ended": ended,
             "failure": failure,
             "steps": torch.tensor(self._seqs, dtype=torch.int64) - self._first,

@@ -11,7 +11,7 @@ from iher_robot.config.run import RunConfig
 from iher_robot.errors import UserError
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.simulators.actor import take_snapshot
-from iher_robot.rollout.simulators.child_process import OwnProcess
+from iher_robot.rollout.simulators.child_process import ChildProcess
 from iher_robot.rollout.simulators.episode import Order, SimulatedEpisode
 from iher_robot.rollout.simulators.messages import Message
 
@@ -57,7 +57,7 @@ class Ticket:
         self._outcome = outcome
 
 
-class _Simulator(OwnProcess):
+class _Simulator(ChildProcess):
     def __init__(self) -> None:
         super().__init__(
             PROGRAM, "a simulator's process", "continue the run with: iher-robot train --resume"

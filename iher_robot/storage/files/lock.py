@@ -23,7 +23,7 @@ class FileHeld(UserError):
     """Another process holds a file."""
 
 
-class HeldFile(Closing):
+class LockFile(Closing):
     """One process at a time holds it, until it closes the file or dies.
 
     What it notes is with the system at once and never waits for a disk: after a crash of the
@@ -91,7 +91,7 @@ class HeldFile(Closing):
 
 def hold_patiently(
     path: Path, in_use: str, patience_s: float, give_up: Callable[[], bool] = lambda: False
-) -> HeldFile:
+) -> LockFile:
     """Hold a file, once its holder has let go of it.
 
     Args:
@@ -107,7 +107,7 @@ def hold_patiently(
     deadline = time.monotonic() + patience_s
     while True:
         try:
-            return HeldFile(path, in_use)
+            return LockFile(path, in_use)
         except FileHeld:
             if time.monotonic() > deadline or give_up():
                 raise
@@ -130,7 +130,7 @@ def is_held(path: Path) -> bool:
 
 
 def read_note(path: Path) -> Mapping[str, Any]:
-    """What the holder of a file noted last, see ``HeldFile.note``; it may be holding it still."""
+    """What the holder of a file noted last, see ``LockFile.note``; it may be holding it still."""
     try:
         note = open_line(path.read_bytes()[:_SIZE].rstrip(), path, "lock file")
         own = (note.get("boot"), note.get("inode")) == (_boot(), path.stat().st_ino)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.learning.imagination.source import Progress
-from iher_robot.rollout.simulators.child_process import OwnProcess
+from iher_robot.rollout.simulators.child_process import ChildProcess
 from iher_robot.rollout.simulators.messages import Message, pack_episodes
-from iher_robot.training.epoch import Learned, Lesson
+from iher_robot.training.epoch import EpochData, Learned
 from iher_robot.training.learners.base import RunLearner
 from iher_robot.training.learners.messages import begin_messages
 from iher_robot.training.recovery import Restored
-from iher_robot.training.setup import Workcell
+from iher_robot.training.setup import TrainingSetup
 
 PROGRAM = """
 import json, os, sys
@@ -25,7 +25,7 @@ main(int(sys.argv[2]))
 """What the process runs."""
 
 
-class LearnerProcess(OwnProcess):
+class LearnerProcess(ChildProcess):
     """Starts it, talks to it, and ends it.
 
     Args:
@@ -40,7 +40,7 @@ class LearnerProcess(OwnProcess):
 _LOOK_S = 0.2
 
 
-class LearnerBeside(RunLearner):
+class AsyncLearner(RunLearner):
     """Learns an epoch while the robot collects the next one.
 
     Here is a copy of the learner that acts, replaced by each epoch that comes back: in simulation
@@ -53,7 +53,7 @@ class LearnerBeside(RunLearner):
         progress: Told how far each phase is while an epoch is waited for.
     """
 
-    def __init__(self, cell: Workcell, process: LearnerProcess, progress: Progress) -> None:
+    def __init__(self, cell: TrainingSetup, process: LearnerProcess, progress: Progress) -> None:
         super().__init__(cell.learner)
         self._cell = cell
         self._process = process
@@ -71,7 +71,7 @@ class LearnerBeside(RunLearner):
         if restored.learner is not None:
             self._act_as(restored.learner)
 
-    def exchange(self, lesson: Lesson | None) -> Learned | None:
+    def exchange(self, lesson: EpochData | None) -> Learned | None:
         """Wait for the epoch under way, and hand the next one over."""
         learned = None if self.under_way is None else Learned(self.under_way, self._wait())
         self.under_way = lesson

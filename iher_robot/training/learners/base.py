@@ -13,9 +13,9 @@ from iher_robot.evaluation.success_rate import RunSeeds, evaluate_learner
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.imagination.source import Progress
 from iher_robot.learning.learner import Learner
-from iher_robot.training.epoch import Learned, Lesson, Row
+from iher_robot.training.epoch import EpochData, Learned, Row
 from iher_robot.training.recovery import Restored
-from iher_robot.training.setup import Workcell
+from iher_robot.training.setup import TrainingSetup
 
 
 class RunLearner(Closing):
@@ -28,14 +28,14 @@ class RunLearner(Closing):
 
     def __init__(self, learner: Learner) -> None:
         self.learner = learner
-        self.under_way: Lesson | None = None
+        self.under_way: EpochData | None = None
 
     @abstractmethod
     def begin(self, restored: Restored) -> None:
         """Take over the state of a stopped run, or begin as a new one."""
 
     @abstractmethod
-    def exchange(self, lesson: Lesson | None) -> Learned | None:
+    def exchange(self, lesson: EpochData | None) -> Learned | None:
         """Hand over an epoch, and take one back.
 
         Args:
@@ -62,7 +62,7 @@ class RunLearner(Closing):
         """What a checkpoint keeps of the learner after the epoch that came back last."""
 
 
-class LearnerInTurn(RunLearner):
+class SyncLearner(RunLearner):
     """Learns in this process, while the robot is held.
 
     Args:
@@ -70,7 +70,7 @@ class LearnerInTurn(RunLearner):
         progress: Told how far each phase is.
     """
 
-    def __init__(self, cell: Workcell, progress: Progress) -> None:
+    def __init__(self, cell: TrainingSetup, progress: Progress) -> None:
         super().__init__(cell.learner)
         self._cell = cell
         self._progress = progress
@@ -80,7 +80,7 @@ class LearnerInTurn(RunLearner):
         if restored.learner is not None:
             self.learner.load_state_dict(restored.learner, restored.by_epoch)
 
-    def exchange(self, lesson: Lesson | None) -> Learned | None:
+    def exchange(self, lesson: EpochData | None) -> Learned | None:
         """Learn an epoch."""
         if lesson is None:
             return None

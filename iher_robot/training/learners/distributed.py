@@ -11,17 +11,17 @@ from types import TracebackType
 from iher_robot.errors import UserError
 from iher_robot.learning.imagination.source import Progress
 from iher_robot.rollout.simulators.messages import pack_episodes
-from iher_robot.training.epoch import Learned, Lesson
-from iher_robot.training.learners.base import LearnerInTurn
+from iher_robot.training.epoch import EpochData, Learned
+from iher_robot.training.learners.base import SyncLearner
 from iher_robot.training.learners.messages import begin_messages, weights_number
 from iher_robot.training.learners.process_group import PeerGone, PeerGroup
 from iher_robot.training.recovery import Restored
-from iher_robot.training.setup import Workcell
+from iher_robot.training.setup import TrainingSetup
 
 _NEWS_S = 0.5
 
 
-class LearnerWithPeers(LearnerInTurn):
+class DistributedLearner(SyncLearner):
     """Learns in this process and at the same time in others, while the robot is held.
 
     All of them are told everything that this one learns from, and share every batch.
@@ -33,7 +33,9 @@ class LearnerWithPeers(LearnerInTurn):
         progress: Told how far each phase is.
     """
 
-    def __init__(self, cell: Workcell, group: PeerGroup, run: Path, progress: Progress) -> None:
+    def __init__(
+        self, cell: TrainingSetup, group: PeerGroup, run: Path, progress: Progress
+    ) -> None:
         super().__init__(cell, progress)
         self._group = group
         self._advice = f"continue with: iher-robot train --resume {shlex.quote(str(run))}"
@@ -44,16 +46,16 @@ class LearnerWithPeers(LearnerInTurn):
             self._group.join()
         except RuntimeError as error:
             raise UserError(
-                f"the {self._group.count} processes of torchrun cannot reach each other: {error}; "
-                "on one machine give torchrun --standalone, on several name the network by "
-                "GLOO_SOCKET_IFNAME"
+                f"the {self._group.world_size} processes of torchrun cannot reach each "
+                f"other: {error}; on one machine give torchrun --standalone, on several name "
+                "the network by GLOO_SOCKET_IFNAME"
             ) from error
         with self._gone_in_words():
             for message in begin_messages(self._cell, restored):
                 self._group.send(message)
         super().begin(restored)
 
-    def exchange(self, lesson: Lesson | None) -> Learned | None:
+    def exchange(self, lesson: EpochData | None) -> Learned | None:
         """Learn an epoch together."""
         if lesson is None:
             return None
@@ -62,9 +64,9 @@ class LearnerWithPeers(LearnerInTurn):
             learned = super().exchange(lesson)
             if not self._group.agree_on(weights_number(self.learner)):
                 raise UserError(
-                    f"after epoch {lesson.epoch} the weights of the {self._group.count} processes "
-                    "differ: their processors or versions of torch round differently; start all "
-                    f"of them on machines of one kind; {self._advice}"
+                    f"after epoch {lesson.epoch} the weights of the {self._group.world_size} "
+                    "processes differ: their processors or versions of torch round differently; start "
+                    f"all of them on machines of one kind; {self._advice}"
                 )
         return learned
 
@@ -99,6 +101,6 @@ class LearnerWithPeers(LearnerInTurn):
 
     def _in_words(self, gone: PeerGone) -> UserError:
         return UserError(
-            f"process {gone.rank} of the {self._group.count} that learn together is gone; nothing "
-            f"recorded is lost, {self._advice}"
+            f"process {gone.rank} of the {self._group.world_size} that learn together is gone; "
+            f"nothing recorded is lost, {self._advice}"
         )

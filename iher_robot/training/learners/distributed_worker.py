@@ -12,10 +12,10 @@ from iher_robot.errors import UserError
 from iher_robot.rollout.simulators.messages import unpack_episodes
 from iher_robot.training.learners.messages import begin_learner, weights_number
 from iher_robot.training.learners.process_group import PeerGroup
-from iher_robot.training.learners.torchrun import Place
+from iher_robot.training.learners.torchrun import TorchrunRank
 
 
-def main(place: Place) -> None:
+def main(place: TorchrunRank) -> None:
     """Learn what the first process learns, as its peer; it ends this one.
 
     Args:
@@ -43,11 +43,11 @@ def main(place: Place) -> None:
             group.agree_on(weights_number(learner))
 
 
-def _require_device(config: RunConfig, place: Place) -> None:
+def _require_device(config: RunConfig, place: TorchrunRank) -> None:
     gpus = torch.cuda.device_count()
     if pick_device(config.device).type == "cuda" and place.local_rank >= gpus:
         raise UserError(
-            f"process {place.rank} of the {place.count} that learn together has no GPU: this "
+            f"process {place.rank} of the {place.world_size} that learn together has no GPU: this "
             f"machine has {gpus}; start no more processes on it, or give --device cpu"
         )
 

@@ -15,11 +15,11 @@ from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.rollout.simulators.messages import Message, pack_episodes, unpack_episodes
 from iher_robot.training.recovery import Restored
-from iher_robot.training.setup import Workcell, make_learner
+from iher_robot.training.setup import TrainingSetup, make_learner
 from tasks import make_task
 
 
-def begin_messages(cell: Workcell, restored: Restored) -> Iterator[Message]:
+def begin_messages(cell: TrainingSetup, restored: Restored) -> Iterator[Message]:
     """What makes a learner the one of a run.
 
     Args:

@@ -17,7 +17,7 @@ from torch.distributed.rendezvous import rendezvous
 
 from drivers.closing import Closing
 from iher_robot.rollout.simulators.messages import Message, pack_message, unpack_message
-from iher_robot.training.learners.torchrun import Place
+from iher_robot.training.learners.torchrun import TorchrunRank
 
 # Between two messages the robot moves, or a person looks for it. Who is gone is noticed at once,
 # because the connection to it is closed; no time has to run out.
@@ -45,9 +45,9 @@ class PeerGroup(Closing):
         place: Which process this is.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: TorchrunRank) -> None:
         self.rank = place.rank
-        self.count = place.count
+        self.world_size = place.world_size
         self._place = place
         self._missed = threading.Event()
         self._missing = 0
@@ -57,7 +57,7 @@ class PeerGroup(Closing):
     def join(self) -> None:
         """Meet the others; the first process waits for them, and they for it."""
         store, _, _ = next(rendezvous("env://", timeout=_PATIENCE))
-        arrived = [f"{_ARRIVED}/{rank}" for rank in range(1, self.count)]
+        arrived = [f"{_ARRIVED}/{rank}" for rank in range(1, self.world_size)]
         if self.rank:
             store.set(arrived[self.rank - 1], "")
         else:
@@ -70,12 +70,12 @@ class PeerGroup(Closing):
             "cpu:gloo,cuda:nccl" if gpus else "gloo",
             store=store,
             rank=self.rank,
-            world_size=self.count,
+            world_size=self.world_size,
             timeout=_PATIENCE,
         )
         self._lifeline = distributed.new_group(backend="gloo", timeout=_PATIENCE)
         # Nothing comes this way but the end.
-        for other in range(1, self.count) if self.rank == 0 else [0]:
+        for other in range(1, self.world_size) if self.rank == 0 else [0]:
             self._watch(other)
 
     def _watch(self, other: int) -> None:
@@ -102,7 +102,7 @@ class PeerGroup(Closing):
         """
         with self._together():
             distributed.all_reduce(tensor)
-        tensor /= self.count
+        tensor /= self.world_size
 
     def agree_on(self, number: int) -> bool:
         """Whether a number from 0 to 2**63 - 1 is the same in all processes.
@@ -168,7 +168,7 @@ class PeerGroup(Closing):
         """In the first process: end the others; they keep nothing that is not kept here."""
         if self._lifeline is None:
             return
-        for other in range(1, self.count):
+        for other in range(1, self.world_size):
             with suppress(RuntimeError):  # it is gone
                 distributed.send(torch.zeros(1), other, group=self._lifeline)
         for watch in self._watches:

@@ -1,4 +1,4 @@
-"""What ``torchrun`` tells a process; read without torch, which takes seconds to load."""
+"""Rank of this process under ``torchrun``; read without torch, which takes seconds to load."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Place:
+class TorchrunRank:
     """Which of the processes of ``torchrun`` this one is.
 
     Attributes:
         rank: Its number, from 0; that one has the robot.
-        count: How many there are.
+        world_size: How many there are.
         local_rank: Its number among those on this machine.
     """
 
     rank: int
-    count: int
+    world_size: int
     local_rank: int
 
 
-def read_place() -> Place | None:
-    """This process's place; None where ``torchrun`` did not start it, or it alone."""
+def read_torchrun_rank() -> TorchrunRank | None:
+    """This process's rank; None where ``torchrun`` did not start it, or it alone."""
     # The first is what torch.distributed.is_torchelastic_launched asks.
     if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ["WORLD_SIZE"] == "1":
         return None
-    return Place(*(int(os.environ[name]) for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK")))
+    return TorchrunRank(*(int(os.environ[name]) for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK")))

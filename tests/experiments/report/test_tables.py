@@ -14,7 +14,7 @@ from iher_robot.errors import UserError
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.report.report import report
 from iher_robot.storage.files.checksum import seal
-from iher_robot.storage.files.lock import FileHeld, HeldFile
+from iher_robot.storage.files.lock import FileHeld, LockFile
 from tests.experiments.made import NAMES, begin, commit, make_cell, make_experiment, unsealed
 
 pytest.importorskip("pandas")
@@ -43,7 +43,7 @@ def content(folder: ExperimentFolder) -> tuple[str, str]:
 def test_a_row_of_a_run_says_how_far_it_is(folder: ExperimentFolder) -> None:
     folder.logs_path.mkdir()
     assert states_of(folder) == ["finished", "interrupted", "not begun"]
-    with HeldFile(folder.lock(NAMES[1]), "held"):
+    with LockFile(folder.lock(NAMES[1]), "held"):
         assert states_of(folder) == ["finished", "running", "not begun"]
     folder.failure(NAMES[1]).write_text("exit code 1: out of memory\n")
     folder.failure(NAMES[2]).write_text("exit code 2: no such robot\n")

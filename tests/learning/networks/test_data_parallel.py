@@ -30,7 +30,7 @@ class InThreads:
 
     def __init__(self, rank: int, tensors: list[torch.Tensor], barrier: threading.Barrier) -> None:
         self.rank = rank
-        self.count = len(tensors)
+        self.world_size = len(tensors)
         self._tensors = tensors
         self._barrier = barrier
 

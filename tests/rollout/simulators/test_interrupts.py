@@ -17,7 +17,7 @@ import torch
 
 from iher_robot.learning.episode import Episode
 from iher_robot.rollout.simulators import pool as pool_module
-from iher_robot.rollout.simulators.child_process import OwnProcess
+from iher_robot.rollout.simulators.child_process import ChildProcess
 from iher_robot.rollout.simulators.collect import SimulatedEpisodes
 from iher_robot.rollout.simulators.messages import pack_episodes, receive_message, send_message
 from iher_robot.rollout.simulators.pool import SimulatorPool
@@ -76,7 +76,7 @@ class Interrupter:
 def simulators(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Those that are started, each in this process."""
     started: list[Any] = []
-    send = OwnProcess.send
+    send = ChildProcess.send
 
     def start(self: Any) -> None:
         started.append(self)
@@ -93,8 +93,8 @@ def simulators(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     def wait_for_no_one(connections: Any) -> Any:
         return wait(connections, 0.0) or pytest.fail("it would wait for ever")
 
-    monkeypatch.setattr(OwnProcess, "start", start)
-    monkeypatch.setattr(OwnProcess, "send", answer)
+    monkeypatch.setattr(ChildProcess, "start", start)
+    monkeypatch.setattr(ChildProcess, "send", answer)
     monkeypatch.setattr(pool_module, "wait", wait_for_no_one)
     monkeypatch.setattr(pool_module, "take_snapshot", lambda _: {})
     return started
@@ -109,7 +109,7 @@ def whole_episode(ticks: int) -> dict[str, Any]:
         "reset_ticks": 1,
         "success": False,
         "aborted": "",
-        "told_source": 0,
+        "policy_source": 0,
         "ended": "done",
         "failure": "",
         "steps": torch.arange(1, ticks + 1),

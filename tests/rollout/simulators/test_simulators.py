@@ -39,7 +39,7 @@ from iher_robot.storage.files.sqlite import Database
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
-from iher_robot.training.setup import open_pool, open_workcell
+from iher_robot.training.setup import open_pool, open_training_setup
 from iher_robot.training.train import TrainResult, resume
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
@@ -120,7 +120,7 @@ def assert_same_run(one: Path, other: Path) -> None:
         assert_same_episode(first.episode, second.episode)
         assert_array_equal(first.seqs, second.seqs)
         assert_array_equal(first.elapsed, second.elapsed)
-        for name in ("epoch", "told_source", "account", "seed", "index", "ended"):
+        for name in ("epoch", "policy_source", "account", "seed", "index", "ended"):
             assert getattr(first, name) == getattr(second, name), name
 
 
@@ -194,7 +194,7 @@ def test_a_learner_beside_evaluates_the_same_in_simulators_of_its_own(tmp_path: 
 def test_what_explores_in_another_process_is_what_would_explore_here() -> None:
     """The second policy of Push included, before and after it rests."""
     config = load_config("push", "default", "iher", ["simulators=2"], {}, robot="fetch-mocap")
-    with open_workcell(config) as cell:
+    with open_training_setup(config) as cell:
         assert cell.pool is not None
         assert cell.learner.contact is not None
         for rests, seeds in ((False, (3, 1, 2)), (True, (4, 5))):
@@ -213,7 +213,7 @@ def test_what_explores_in_another_process_is_what_would_explore_here() -> None:
                         explorer=cell.learner.explorer() if explores else None,
                     )
                     assert_same_episode(recorder.episode(), other.episode())
-                    assert recorder.told_source == other.told_source
+                    assert recorder.policy_source == other.policy_source
                     assert recorder.success == other.success
         here = list(run_simulated(cell.env, cell.learner, range(7, 10)))
         beside = list(cell.pool.run(cell.learner, range(7, 10)))
@@ -276,7 +276,7 @@ class FakePool:
                 reset_ticks=1,
                 success=False,
                 aborted="lost" if length < order.ticks else "",
-                told_source=0,
+                policy_source=0,
                 ended="lost" if length < order.ticks else "done",
                 failure="",
                 steps=np.arange(1, length + 1),

@@ -31,9 +31,9 @@ from iher_robot.storage.ledger import Ledger
 from iher_robot.training import loop as loop_module
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.learners import asynchronous as learner_process_part_module
-from iher_robot.training.learners.asynchronous import LearnerBeside, LearnerProcess
+from iher_robot.training.learners.asynchronous import AsyncLearner, LearnerProcess
 from iher_robot.training.recovery import Restored
-from iher_robot.training.setup import make_learner, open_workcell
+from iher_robot.training.setup import make_learner, open_training_setup
 from iher_robot.training.train import resume, train
 from tests.served.served_robot import PATIENT, ServedRobot, eventually, is_running
 from tests.small_runs import (
@@ -285,14 +285,14 @@ def test_what_a_learner_on_another_device_made_acts_and_is_kept_whole(tmp_path: 
             pass
 
     options = {"device": "cpu", "asynchronous": True}
-    with open_workcell(load_config("push", "default", "iher", [], options)) as cell:
+    with open_training_setup(load_config("push", "default", "iher", [], options)) as cell:
         there = make_learner(cell.config, cell.env.task, torch.device("cpu"))
         there.epoch = 7
         with torch.no_grad():
             next(iter(there.policy.actor.parameters())).add_(1.0)
         state = there.state_dict()
         state["generator"] = state["contact"]["generator"] = torch.zeros(16, dtype=torch.uint8)
-        beside = LearnerBeside(cell, Silent(tmp_path), lambda *_: None)
+        beside = AsyncLearner(cell, Silent(tmp_path), lambda *_: None)
         beside.begin(Restored(state, [], [], [], 0))
         acts = beside.learner.policy.snapshot()["actor"]
         assert beside.learner.epoch == 7
@@ -318,7 +318,7 @@ def test_no_garbage_is_collected_between_two_ticks(request: pytest.FixtureReques
     gc.callbacks.append(note)
     request.addfinalizer(lambda: gc.callbacks.remove(note))
     options = {"device": "cpu", "asynchronous": True}
-    with open_workcell(load_config("reach", "default", "iher", [], options)) as cell:
+    with open_training_setup(load_config("reach", "default", "iher", [], options)) as cell:
         policy = cell.learner.acting_policy(torch.device("cpu"))
         run_episode(cell.env, policy, Watched(), seed=0, ticks=5)
     assert len(collected) == 5

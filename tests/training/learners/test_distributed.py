@@ -21,10 +21,10 @@ from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.provenance import read_provenance
 from iher_robot.training import loop as loop_module
 from iher_robot.training.learners import distributed_worker as distributed_worker_module
-from iher_robot.training.learners.distributed import LearnerWithPeers
+from iher_robot.training.learners.distributed import DistributedLearner
 from iher_robot.training.learners.messages import weights_number
 from iher_robot.training.learners.process_group import PeerGone, PeerGroup
-from iher_robot.training.learners.torchrun import Place
+from iher_robot.training.learners.torchrun import TorchrunRank
 from iher_robot.training.train import resume
 from tests.learning.point_mass import PointMassGoals
 from tests.learning.quick_learner import new, quick
@@ -250,12 +250,12 @@ def test_what_cannot_be_shared_is_refused_before_anything_is_made(
 def test_a_process_without_a_gpu_of_its_own_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     config = load_config("reach", "default", "iher", [], {"device": "auto"})
     require = distributed_worker_module._require_device
-    require(config, Place(rank=1, count=2, local_rank=1))
+    require(config, TorchrunRank(rank=1, world_size=2, local_rank=1))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    require(config, Place(rank=2, count=3, local_rank=0))
+    require(config, TorchrunRank(rank=2, world_size=3, local_rank=0))
     with pytest.raises(UserError, match=r"process 1 of the 2 .* no GPU: this machine has 1"):
-        require(config, Place(rank=1, count=2, local_rank=1))
+        require(config, TorchrunRank(rank=1, world_size=2, local_rank=1))
 
 
 def test_torchrun_with_one_process_changes_nothing(
@@ -270,7 +270,7 @@ def test_weights_that_differ_end_the_run_with_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Apart:
-        count = 2
+        world_size = 2
         gone: PeerGone | None = None
 
         def join(self) -> None:
@@ -290,8 +290,8 @@ def test_weights_that_differ_end_the_run_with_a_sentence(
 
     group = Apart()
 
-    def learning(self: loop_module.TrainingRun) -> LearnerWithPeers:
-        return LearnerWithPeers(self.cell, cast(PeerGroup, group), Path("r"), self._phase)
+    def learning(self: loop_module.TrainingRun) -> DistributedLearner:
+        return DistributedLearner(self.cell, cast(PeerGroup, group), Path("r"), self._phase)
 
     monkeypatch.setattr(loop_module.TrainingRun, "_make_learning", learning)
     with pytest.raises(UserError, match=r"after epoch 1 the weights of the 2 .* --resume r$"):
