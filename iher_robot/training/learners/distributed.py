@@ -65,8 +65,8 @@ class DistributedLearner(SyncLearner):
             if not self._group.agree_on(weights_number(self.learner)):
                 raise UserError(
                     f"after epoch {lesson.epoch} the weights of the {self._group.world_size} "
-                    "processes differ: their processors or versions of torch round differently; start "
-                    f"all of them on machines of one kind; {self._advice}"
+                    "processes differ: their processors or versions of torch round differently; "
+                    f"start all of them on machines of one kind; {self._advice}"
                 )
         return learned
 
