@@ -1,4 +1,4 @@
-"""What a training run works with: the robot, a simulator to evaluate in, and the learner."""
+"""Setup of a training run: robot, simulators for evaluation, learner and budget."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class TrainingSetup:
-    """Robot and learner of a run.
+    """Robot, simulators and learner of a run.
 
     Attributes:
         config: Settings of the run.
         env: The robot.
         simulator: Where the policy is evaluated free of charge; None where the robot is physical,
             or another driver with the same options would move the same one.
-        pool: Simulators beside each other; None where one is enough.
-        learner: The learner; in an asynchronous run a copy that acts, on the CPU.
-        budget_ticks: Control ticks that the budget grants.
+        pool: Several simulators in parallel; None where one is enough.
+        learner: The learner; in an asynchronous run the copy that acts, on the CPU.
+        budget_ticks: Control ticks of the configured budget.
         group: Processes of ``torchrun`` that learn together; None where this one learns alone.
     """
 
@@ -54,8 +54,8 @@ class TrainingSetup:
         """Robot minutes of so many control ticks."""
         return ticks * self.env.driver.spec.control_period_s / 60.0
 
-    def meaning_of_budget(self, budget_ticks: int, spent_ticks: int) -> str:
-        """What the budget asks of the robot, in one sentence.
+    def describe_budget(self, budget_ticks: int, spent_ticks: int) -> str:
+        """Describe what the budget means for the robot, in one sentence.
 
         Args:
             budget_ticks: Ticks of motion that the run may spend, granted ones included.
@@ -109,13 +109,13 @@ class TrainingSetup:
 
 @contextmanager
 def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
-    """Make robot and learner, and leave the robot held and disarmed in the end.
+    """Make robot, simulators and learner; the robot is held and disarmed in the end.
 
     Args:
         config: Settings of the run.
 
     Yields:
-        The workcell.
+        The setup.
 
     Raises:
         UserError: A setting that this machine, this robot or ``torchrun`` cannot meet.
@@ -137,12 +137,12 @@ def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
 
 
 def _make_group(config: RunConfig) -> PeerGroup | None:
-    place = read_torchrun_rank()
-    if place is None:
+    rank = read_torchrun_rank()
+    if rank is None:
         return None
-    if place.rank:
+    if rank.rank:
         raise UserError(
-            f"this is process {place.rank} of torchrun, which only learns, and has no robot; start "
+            f"this is process {rank.rank} of torchrun, which only learns, and has no robot; start "
             "the command itself: torchrun ... -m iher_robot train ..."
         )
     if config.asynchronous:
@@ -150,16 +150,16 @@ def _make_group(config: RunConfig) -> PeerGroup | None:
             "with --async one process learns while the robot moves, with torchrun several learn "
             "in turn with it; leave out one of the two"
         )
-    return PeerGroup(place)
+    return PeerGroup(rank)
 
 
 def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> SimulatorPool | None:
-    """Make simulators beside each other, if there are to be more than one.
+    """Make the pool of simulators, if there is more than one.
 
     Args:
         config: Settings of the run.
         env: Its robot.
-        stack: Ends them.
+        stack: Closes them.
 
     Raises:
         UserError: The robot is no simulated one of this program, of which there can be several.
@@ -177,11 +177,11 @@ def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> Simulat
 
 
 def seeds_runner(simulator: GoalRobotEnv, pool: SimulatorPool | None) -> RunSeeds:
-    """What runs episodes free of charge.
+    """Return what runs uncharged episodes.
 
     Args:
-        simulator: Runs one after the other,
-        pool: unless there is this, which runs them side by side.
+        simulator: Runs them one after the other,
+        pool: or, where there is one, in parallel.
     """
     return partial(run_simulated, simulator) if pool is None else pool.run
 
@@ -195,7 +195,7 @@ def make_learner(
         config: Settings of the run.
         task: The task, bound to the robot.
         device: Where replay, models and policy live.
-        peers: Learners with which it shares every batch.
+        peers: Learners that share every batch with it.
 
     Raises:
         UserError: A setting asks for what the task does not declare, or for batches that cannot
