@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from drivers.validation import describe_first_problem
 from iher_robot.errors import UserError
 from iher_robot.experiments.grid import Identity
 from iher_robot.storage.files.atomic import read_file, write_atomically
@@ -46,11 +47,9 @@ def read_origin(path: Path) -> dict[str, Any]:
     try:
         _Origin.model_validate_json(json.dumps(origin), strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"]))
         raise UserError(
-            f"{path} is no experiment file of this version of iher-robot: {key}: {first['msg']}; "
-            "restore it from a copy"
+            f"{path} is no experiment file of this version of iher-robot: "
+            f"{describe_first_problem(error)}; restore it from a copy"
         ) from None
     names = [cell.name for cell in cells_of(origin)]
     twice = next((name for name in names if names.count(name) > 1), None)
