@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from drivers.names import unknown
 from drivers.remote.certificates import TlsFiles, check_certificates
 from drivers.remote.link import warn_if_others_can_read
 from drivers.validation import describe_problems
+from iher_robot.config.paths import TLS_PATHS, resolve_paths
 from iher_robot.config.yaml import parse_mapping
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file
@@ -68,6 +68,7 @@ class HostSecurity(_Section):
 
 
 _ROLES = tuple(Roles.model_fields)
+_PATHS = ("users", *TLS_PATHS)
 
 
 def read_security(path: Path | None) -> HostSecurity | None:
@@ -84,7 +85,7 @@ def read_security(path: Path | None) -> HostSecurity | None:
         return None
     content = parse_mapping(read_file(path, _KIND), str(path))
     try:
-        security = HostSecurity.model_validate(_beside(path, content))
+        security = HostSecurity.model_validate(resolve_paths(content, path, _PATHS))
     except ValidationError as error:
         raise UserError(
             f"{path}: {describe_problems(error, HostSecurity, 'security setting')}"
@@ -135,17 +136,6 @@ def _is_loopback(endpoint: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _beside(path: Path, content: Mapping[object, object]) -> dict[str, object]:
-    folder = path.absolute().parent
-    found = {str(key): value for key, value in content.items()}
-    if isinstance(found.get("users"), str):
-        found["users"] = folder / str(found["users"])
-    tls = found.get("tls")
-    if isinstance(tls, Mapping):
-        found["tls"] = {k: folder / v if isinstance(v, str) else v for k, v in tls.items()}
-    return found
 
 
 def _check_users(path: Path, security: HostSecurity) -> None:
