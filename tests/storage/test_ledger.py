@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import ACCOUNTS, LEDGER, Account, lock_path, read_accounts
 from iher_robot.storage.budget import Budget, BudgetError
-from iher_robot.storage.files import checksum as sealed_json
+from iher_robot.storage.files.checksum import dump_checked
 from iher_robot.storage.ledger import Ledger
 
 
@@ -95,7 +95,7 @@ def test_without_a_note_of_this_start_of_the_machine_a_crash_leaves_all_counted(
     path: Path, note: bytes
 ) -> None:
     subprocess.run([sys.executable, "-c", CRASH_AT_7, str(path)], check=False)
-    lock_path(path).write_bytes(note or sealed_json.seal_line({"boot": "x", "begun": {"3": 7}}))
+    lock_path(path).write_bytes(note or dump_checked({"boot": "x", "begun": {"3": 7}}))
     assert read_accounts(path).spent["motion"] == 98
     with Ledger(path) as ledger:
         assert ledger.spent_ticks("motion") == 98
