@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from fractions import Fraction
 
-from iher_robot.errors import UserError
 from iher_robot.storage.ledger import Entry, Ledger
-
-LONGEST_MINUTES = 1e6
-"""About two years."""
+from iher_robot.storage.robot_time import RobotTime
 
 
 class BudgetError(Exception):
@@ -60,28 +55,5 @@ class Budget:
 
 
 def budget_ticks(minutes: float, control_period: float) -> int:
-    """Whole control ticks in a number of robot minutes.
-
-    Args:
-        minutes: Robot minutes, taken as the decimal number that Python prints, so that 0.1 is a
-            tenth.
-        control_period: Seconds a tick, to the nanosecond.
-
-    Returns:
-        Ticks, rounded down: 40 minutes at 0.04 s are 60000.
-
-    Raises:
-        UserError: The minutes are not finite, or do not hold a single tick.
-    """
-    period = Fraction(round(control_period * 10**9), 10**9)
-    if not 0 < minutes <= LONGEST_MINUTES:
-        raise UserError(
-            f"budget is {minutes} minutes, allowed: above 0 and up to {LONGEST_MINUTES:g}"
-        )
-    ticks = math.floor(Fraction(repr(float(minutes))) * 60 / period)
-    if ticks < 1:
-        raise UserError(
-            f"budget is {minutes} minutes, allowed: at least one control tick, "
-            f"{float(period / 60):g} minutes"
-        )
-    return ticks
+    """Whole control ticks of a budget, see `RobotTime.from_minutes`."""
+    return RobotTime.from_minutes(minutes, control_period).ticks

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import os
 import sqlite3
 import subprocess
 import sys
-from fractions import Fraction
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,8 +18,8 @@ from hypothesis import strategies as st
 
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import ACCOUNTS, LEDGER, Account, lock_path, read_accounts
-from iher_robot.storage.budget import Budget, BudgetError, budget_ticks
-from iher_robot.storage.files import checksum as sealed_json
+from iher_robot.storage.budget import Budget, BudgetError
+from iher_robot.storage.files.checksum import dump_checked
 from iher_robot.storage.ledger import Ledger
 
 
@@ -97,7 +95,7 @@ def test_without_a_note_of_this_start_of_the_machine_a_crash_leaves_all_counted(
     path: Path, note: bytes
 ) -> None:
     subprocess.run([sys.executable, "-c", CRASH_AT_7, str(path)], check=False)
-    lock_path(path).write_bytes(note or sealed_json.seal_line({"boot": "x", "begun": {"3": 7}}))
+    lock_path(path).write_bytes(note or dump_checked({"boot": "x", "begun": {"3": 7}}))
     assert read_accounts(path).spent["motion"] == 98
     with Ledger(path) as ledger:
         assert ledger.spent_ticks("motion") == 98
@@ -383,36 +381,3 @@ def test_a_budget_below_what_is_spent_has_nothing_left(path: Path) -> None:
         with ledger.reserve("motion", 50) as entry:
             entry.settle(50)
         assert Budget(ledger, 20).remaining_ticks == 0
-
-
-@pytest.mark.parametrize(
-    ("minutes", "period", "ticks"),
-    [
-        (40, 0.04, 60_000),
-        (40.0, 20 * 0.002, 60_000),
-        (0.1, 0.04, 150),
-        (0.7, 0.04, 1050),
-        (1.1, 0.04, 1650),
-        (1.0, 3 * 0.1, 200),  # 0.30000000000000004
-        (0.035, 0.04, 52),  # 52.5
-        (1e6, 0.001, 60_000_000_000),
-    ],
-)
-def test_minutes_in_ticks(minutes: float, period: float, ticks: int) -> None:
-    assert budget_ticks(minutes, period) == ticks
-
-
-@given(tenths_ms=st.integers(1, 10_000), thousandths=st.integers(1, 10_000_000))
-def test_ticks_fit_into_the_minutes_and_one_more_would_not(
-    tenths_ms: int, thousandths: int
-) -> None:
-    period, minutes = Fraction(tenths_ms, 10_000), Fraction(thousandths, 1000)
-    whole = math.floor(minutes * 60 / period)
-    if whole:
-        assert budget_ticks(float(minutes), float(period)) == whole
-
-
-@pytest.mark.parametrize("minutes", [0.0, -1.0, math.nan, math.inf, 1e-9])
-def test_a_budget_must_hold_a_tick(minutes: float) -> None:
-    with pytest.raises(UserError, match=f"budget is {minutes}"):
-        budget_ticks(minutes, 0.04)
