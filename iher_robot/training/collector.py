@@ -89,7 +89,7 @@ class Collector(Closing):
     @property
     def spent(self) -> bool:
         """Whether the budget is spent."""
-        return self._budget.remaining_ticks == 0
+        return self._budget.remaining.ticks == 0
 
     def collect(self, number: int, learner: Learner, between: Callable[[], None]) -> None:
         """Collect an epoch's real episodes as far as the budget goes; it is the last one pending.
@@ -110,7 +110,7 @@ class Collector(Closing):
                     epoch.episodes.append(episode)
                     self.collected += 1
                 self._listener.phase("collect", len(epoch.episodes), self._wanted)
-                self._listener.minutes(self._setup.minutes_of(self._budget.spent_ticks))
+                self._listener.minutes(self._budget.spent.minutes)
                 self._report("motion", epoch.number, outcome)
         if epoch.episodes:
             self.pending.append(epoch)
@@ -118,10 +118,10 @@ class Collector(Closing):
     def take(self) -> EpochData:
         """Take the oldest pending epoch, with the metrics that are known of it."""
         epoch = self.pending.pop(0)
-        # Those that follow it do not count.
-        ticks = self._budget.spent_ticks - sum(later.ticks for later in self.pending)
+        later_ticks = sum(later.ticks for later in self.pending)
+        spent = self._budget.spent  # with epochs that follow this one
         epoch.metrics = {
-            "robot_minutes": self._setup.minutes_of(ticks),
+            "robot_minutes": spent.with_ticks(spent.ticks - later_ticks).minutes,
             "episodes": self.collected - sum(len(later.episodes) for later in self.pending),
         }
         if self._setup.env.task.layout.object_entry is not None:
@@ -160,7 +160,7 @@ class Collector(Closing):
                 learner, epoch=epoch.number, first=self.collected, count=count
             )
             return
-        ticks = min(self._setup.env.task.episode_ticks, self._budget.remaining_ticks)
+        ticks = min(self._setup.env.task.episode_ticks, self._budget.remaining.ticks)
         yield self._robot.run(
             "motion",
             partial(self._budget.reserve, ticks, counted=True),

@@ -21,6 +21,7 @@ from iher_robot.storage.accounts import ACCOUNTS, LEDGER, Account, lock_path, re
 from iher_robot.storage.budget import Budget, BudgetError
 from iher_robot.storage.files.checksum import dump_checked
 from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 
 @pytest.fixture
@@ -242,13 +243,13 @@ def test_a_changed_entry_is_noticed(path: Path) -> None:
 
 def test_grants_are_kept(path: Path) -> None:
     with Ledger(path) as ledger:
-        budget = Budget(ledger, 100)
+        budget = Budget(ledger, RobotTime(100, 0.04))
         ledger.grant(50)
-        assert budget.budget_ticks == 150
+        assert budget.total.ticks == 150
         with pytest.raises(ValueError, match="granted"):
             ledger.grant(0)
     with Ledger(path) as ledger:
-        assert Budget(ledger, 100).remaining_ticks == 150
+        assert Budget(ledger, RobotTime(100, 0.04)).remaining.ticks == 150
         assert ledger.spent_ticks("motion") == 0
 
 
@@ -361,23 +362,23 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
 
 def test_the_budget_counts_motion_only_and_cannot_be_exceeded(path: Path) -> None:
     with Ledger(path) as ledger:
-        budget = Budget(ledger, 120)
+        budget = Budget(ledger, RobotTime(120, 0.04))
         with ledger.reserve("reset", 1000) as entry:
             entry.settle(1000)
         with budget.reserve(100) as entry:
-            assert budget.remaining_ticks == 20
+            assert budget.remaining.ticks == 20
             entry.settle(70)
-        assert budget.remaining_ticks == 50
-        with pytest.raises(BudgetError, match="51 ticks asked for, 50 remain"), budget.reserve(51):
+        assert budget.remaining.ticks == 50
+        with pytest.raises(BudgetError, match="51 ticks requested, 50 remain"), budget.reserve(51):
             pass
-        assert budget.remaining_ticks == 50
+        assert budget.remaining.ticks == 50
         with budget.reserve(50) as entry:
             entry.settle(50)
-        assert budget.remaining_ticks == 0
+        assert budget.remaining.ticks == 0
 
 
 def test_a_budget_below_what_is_spent_has_nothing_left(path: Path) -> None:
     with Ledger(path) as ledger:
         with ledger.reserve("motion", 50) as entry:
             entry.settle(50)
-        assert Budget(ledger, 20).remaining_ticks == 0
+        assert Budget(ledger, RobotTime(20, 0.04)).remaining.ticks == 0

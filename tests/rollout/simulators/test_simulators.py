@@ -39,6 +39,7 @@ from iher_robot.storage.episode import StoredEpisode
 from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.storage.files.sqlite import Database
 from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.setup import open_pool, open_training_setup
@@ -294,16 +295,16 @@ def collect(
         Ledger(folder / "ledger.sqlite") as ledger,
         EpisodeStore(folder / "episodes") as store,
     ):
-        budget = Budget(ledger, budget_ticks)
+        budget = Budget(ledger, RobotTime(budget_ticks, 0.04))
         episodes = SimulatedEpisodes(pool, budget, store, lambda number: number)
         collected, epoch = 0, 1
         learner: Any = None
         with episodes:
-            while budget.remaining_ticks:
+            while budget.remaining.ticks:
                 have = 0
-                while have < 3 and budget.remaining_ticks:
+                while have < 3 and budget.remaining.ticks:
                     for one in episodes.run(learner, epoch=epoch, first=collected, count=3 - have):
-                        assert budget.spent_ticks <= budget_ticks
+                        assert budget.spent.ticks <= budget_ticks
                         have += one.data is not None
                         collected += one.data is not None
                 epoch += 1
@@ -433,7 +434,9 @@ def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
     with Ledger(tmp_path / "ledger") as ledger, EpisodeStore(tmp_path / "episodes") as store:
         with (
             pytest.raises(UserError, match="the simulator is gone"),
-            SimulatedEpisodes(pool, Budget(ledger, TICKS), store, lambda n: n) as episodes,
+            SimulatedEpisodes(
+                pool, Budget(ledger, RobotTime(TICKS, 0.04)), store, lambda n: n
+            ) as episodes,
         ):
             list(episodes.run(learner, epoch=1, first=0, count=3))
         assert [one.seed for one in store] == [0]
