@@ -6,10 +6,9 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch.utils.tensorboard import SummaryWriter
 
 from drivers import Clock, MonotonicClock
 from iher_robot.config.run import dump_identity
@@ -37,6 +36,9 @@ from iher_robot.training.learners.base import RunLearner, SyncLearner
 from iher_robot.training.learners.distributed import DistributedLearner
 from iher_robot.training.recovery import restore
 from iher_robot.training.setup import CPU, TrainingSetup
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
 
 MOVED_M = 0.01
 """Displacement of the achieved goal from which an episode counts as one that moved it."""

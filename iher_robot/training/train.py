@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from torch.utils.tensorboard import SummaryWriter
-
 from iher_robot.config.robot import ChosenRobot
 from iher_robot.config.run import change_simulators, dump_config, load_config, read_config
 from iher_robot.env.operator import Operator
@@ -206,6 +204,8 @@ def resume(
 def _run(
     cell: TrainingSetup, directory: RunDirectory, *, display: bool, video: bool
 ) -> TrainResult:
+    from torch.utils.tensorboard import SummaryWriter
+
     config = cell.config
     provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
     if cell.group is not None:

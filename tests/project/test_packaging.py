@@ -123,8 +123,7 @@ def test_every_public_name_resolves_to_what_bears_it() -> None:
         "import iher_robot, gymnasium",
         "import iher_robot, gymnasium.spaces",
         "import gymnasium.envs.registration, iher_robot.cli.app",
-        "import importlib, iher_robot; importlib.reload(iher_robot.env.registration)\n"
-        "importlib.reload(iher_robot)",
+        "import importlib as i, iher_robot as r; i.reload(r.env.registration); i.reload(r)",
     ],
 )
 def test_the_environments_are_registered_in_every_order_of_imports(imports: str) -> None:
