@@ -79,10 +79,21 @@ def test_a_missing_package_is_named_in_the_error(tmp_path: Path) -> None:
     assert f"'drivers' at {tmp_path / 'drivers'}, and there is none" in result.stderr
 
 
-@pytest.mark.parametrize("module", ["iher_robot", "iher_robot.cli.app"])
-def test_package_and_command_line_are_imported_without_what_takes_long(module: str) -> None:
-    slow = {"gymnasium", "mujoco", "numpy", "torch"}
-    code = f"import sys, {module}; print({slow} & set(sys.modules))"
+# What is heavy, and must not be loaded by what is used often or in many processes.
+HEAVY = {
+    "iher_robot": {"gymnasium", "mujoco", "numpy", "torch"},
+    "iher_robot.cli.app": {"gymnasium", "mujoco", "numpy", "torch"},
+    "iher_robot.host.serve": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.datasets.api": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.datasets.robot_time": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.experiments.experiment": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.training.train": {"matplotlib", "mujoco", "scipy", "tensorboard"},
+}
+
+
+@pytest.mark.parametrize("module", HEAVY)
+def test_what_takes_long_to_load_is_loaded_when_it_is_used(module: str) -> None:
+    code = f"import sys, {module}; print({HEAVY[module]} & set(sys.modules))"
 
     assert run_python("-c", code, folder=ROOT).stdout.strip() == "set()"
 
