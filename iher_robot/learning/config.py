@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from iher_robot.learning.goal_model import MOVED_M
-from iher_robot.learning.networks.precision import Precision
+
+Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
 
 
 def _none_if_off(value: object) -> object:

@@ -11,7 +11,7 @@ import numpy as np
 from drivers import Clock
 from drivers.closing import Closing
 from iher_robot.evaluation.success_rate import Outcome
-from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import moved_goal
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.episode import Stream, episode_seed
 from iher_robot.rollout.reconnect import ReconnectPolicy
@@ -26,10 +26,6 @@ from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.epoch import EpochData
 from iher_robot.training.listener import EpisodeReport, RunListener, TickForwarder
 from iher_robot.training.setup import CPU, TrainingSetup
-
-MOVED_M = 0.01
-"""Displacement of the achieved goal from which an episode counts as one that moved it. m"""
-
 
 class Collector(Closing):
     """Collects the real episodes of a run, within its budget.
@@ -125,7 +121,9 @@ class Collector(Closing):
             "episodes": self.collected - sum(len(later.episodes) for later in self.pending),
         }
         if self._setup.env.task.layout.object_entry is not None:
-            epoch.metrics["object_moved"] = float(np.mean([self._moved(e) for e in epoch.episodes]))
+            model = self._setup.env.task.goal_model
+            moved = [moved_goal(model, episode) for episode in epoch.episodes]
+            epoch.metrics["object_moved"] = float(np.mean(moved))
         epoch.metrics |= self._robot.jitter.take()
         return epoch
 
@@ -184,7 +182,3 @@ class Collector(Closing):
 
     def _seed(self, number: int) -> int:
         return episode_seed(self._setup.config.seed, Stream.COLLECTION, number)
-
-    def _moved(self, episode: Episode) -> bool:
-        achieved = self._setup.env.task.goal_model.achieved_goal(episode.observations)
-        return bool(np.linalg.norm(achieved - achieved[0], axis=-1).max() > MOVED_M)

@@ -53,6 +53,15 @@ def epoch_of(learner: Learner, episodes: list[Episode]) -> None:
     learner.state_dict()
 
 
+@pytest.fixture(autouse=True)
+def only_new_objects() -> Iterator[None]:
+    """Let `gc` look at what a test makes, and not at each object of every module loaded before."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_learner_whose_replays_are_full_holds_no_more_after_any_epoch(kind: str) -> None:
     sections = dict(KINDS[kind])

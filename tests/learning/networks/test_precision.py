@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from iher_robot.learning.config import Precision
 from iher_robot.learning.networks import precision
-from iher_robot.learning.networks.precision import Precision, products_of, set_float32_products
+from iher_robot.learning.networks.precision import products_of, set_float32_products
 from tests.learning.quick_learner import new, quick, real
 from tests.learning.stand_ins import CPU
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -44,6 +42,7 @@ from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.setup import open_pool, open_training_setup
 from iher_robot.training.train import TrainResult, resume
+from tests.forked import run_forked
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
 from tests.small_runs import run as run_small
@@ -448,8 +447,8 @@ def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
 def test_a_killed_run_leaves_no_simulator_and_counts_what_was_reserved(tmp_path: Path) -> None:
     """The second episode is over, and in the journal alone."""
     out, children = tmp_path / "run", tmp_path / "children"
-    done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(children)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    done = run_forked(KILLED, str(out), str(children))
+    assert done.returncode == -signal.SIGKILL, done.stderr
     simulators = list(map(int, children.read_text().split()))
     assert len(simulators) == 2
     try:
