@@ -27,6 +27,7 @@ from iher_robot.training.epoch import EpochData
 from iher_robot.training.listener import EpisodeReport, RunListener, TickForwarder
 from iher_robot.training.setup import CPU, TrainingSetup
 
+
 class Collector(Closing):
     """Collects the real episodes of a run, within its budget.
 

@@ -41,7 +41,6 @@ from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.listener import RunListener, RunListeners, SuccessPlot
 from iher_robot.training.loop import TrainingRun
 from iher_robot.training.setup import TrainingSetup, open_training_setup
-from iher_robot.training.tensorboard import TensorBoard
 from iher_robot.training.warm_start import check_sources, copy_sources
 
 
@@ -246,6 +245,8 @@ def _open_listeners(
     display: bool,
 ) -> RunListener:
     """Make the listeners of a run; questions to the operator pause them."""
+    from iher_robot.training.tensorboard import TensorBoard  # takes 0.5 s to import
+
     config, robot = setup.config, setup.config.chosen_robot.title
     title = f"{config.task} on {robot}, {config.algo}, {config.preset}"
     plot = SuccessPlot(
