@@ -163,6 +163,7 @@ def load_config(task: str, **options: Unpack[RunOptions]) -> RunConfig:
     Raises:
         UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
     """
+    check_options("load_config", options)
     task = canonical_name(task)
     preset, algo = options.get("preset", "default"), options.get("algo", "iher")
     layers = [
@@ -191,6 +192,17 @@ def load_config(task: str, **options: Unpack[RunOptions]) -> RunConfig:
         "robot_options": chosen_robot.options,
     }
     return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
+
+
+def check_options(function: str, options: RunOptions) -> None:
+    """Refuse options that a run does not have, as Python refuses unknown keyword arguments.
+
+    Raises:
+        TypeError: There is one.
+    """
+    for name in options:
+        if name not in RunOptions.__annotations__:
+            raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
 
 
 def _option_layers(options: RunOptions) -> Iterator[Layer]:

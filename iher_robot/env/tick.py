@@ -43,6 +43,15 @@ class Tick:
     late: bool
     acceptance: Acceptance | None
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both had the same outcome; the counter, which outlives resets, may differ."""
+        if not isinstance(other, Tick):
+            return NotImplemented
+        return np.array_equal(self.action_applied, other.action_applied) and all(
+            getattr(self, name) == getattr(other, name)
+            for name in ("valid", "elapsed", "clipped", "late", "acceptance")
+        )
+
     @property
     def refusal(self) -> str | None:
         """Why the command was refused, ``"no_solution"`` where there was none, or None."""

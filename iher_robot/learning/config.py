@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from iher_robot.learning.goal_model import MOVED_M
+from iher_robot.learning.episode import MOVED_M
 
 Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
 

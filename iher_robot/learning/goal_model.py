@@ -9,10 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from iher_robot.learning.episode import Episode
-
-MOVED_M = 0.01
-"""Displacement of the achieved goal, m, above which an episode counts as one that moved it."""
+from iher_robot.learning.episode import MOVED_M, Episode
 
 Array = NDArray[np.floating]
 

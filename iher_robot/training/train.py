@@ -18,6 +18,7 @@ from iher_robot.config.run import (
     RunConfig,
     RunOptions,
     change_simulators,
+    check_options,
     dump_config,
     load_config,
     read_config,
@@ -127,6 +128,7 @@ def train(
     Raises:
         UserError: Bad input; nothing has moved.
     """
+    check_options("train", options)
     if (config is None) == (task is None) or (config is not None and options):
         raise UserError("train takes either a config, or a task with its options")
     if config is None:
