@@ -18,7 +18,7 @@ NO_SOLUTION = "no_solution"
 
 
 @dataclass(frozen=True, eq=False)
-class Tick:
+class Tick:  # noqa: PLW1641 - compared, never hashed
     """One control tick.
 
     Attributes:
