@@ -19,7 +19,7 @@ from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.intrinsic import refresh_intrinsic
 from iher_robot.learning.imagination.source import ImaginarySource, Progress
 from iher_robot.learning.metrics import Meter
-from iher_robot.learning.networks.data_parallel import ALONE, Peers, require_equal_shares
+from iher_robot.learning.networks.data_parallel import ALONE, Peers, require_equal_shards
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.replay import BLOCK, EpisodeReplay, Transitions
 from iher_robot.learning.symmetry import Symmetry, augment
@@ -27,10 +27,10 @@ from iher_robot.learning.symmetry import Symmetry, augment
 DYNAMICS_CHUNK = 25
 
 
-def _require_equal_shares(config: LearnerConfig, peers: Peers) -> None:
+def _require_equal_shards(config: LearnerConfig, peers: Peers) -> None:
     sections = ["ddpg", "dynamics"] if config.imagination.enabled else ["ddpg"]
     for section in sections:
-        require_equal_shares(
+        require_equal_shards(
             f"learner.schedule.workers x learner.{section}.batch_size",
             config.schedule.workers * getattr(config, section).batch_size,
             peers,
@@ -96,7 +96,7 @@ class Learner:
             raise ValueError(
                 "learner.contact.enabled is true, but the task declares no object; set it to false"
             )
-        _require_equal_shares(config, peers)
+        _require_equal_shards(config, peers)
         initial = torch.Generator().manual_seed(seed)
         self.policy = Policy.from_config(shapes, config, generator=initial, device=device)
         self.ddpg = DDPG(self.policy, shapes, config, generator=initial, device=device, peers=peers)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.goal_model import GoalModel, Shapes
-from iher_robot.learning.networks.data_parallel import Peers, own_rows
+from iher_robot.learning.networks.data_parallel import Peers, local_rows
 
 BLOCK = 40
 """Updates whose batches are drawn together: it costs little more than to draw one."""
@@ -68,7 +68,7 @@ class Transitions:
         chunks = zip(*(getattr(self, f).chunk(count) for f in fields), strict=True)
         return [Transitions(*chunk) for chunk in chunks]
 
-    def share(self, count: int, peers: Peers) -> Transitions:
+    def shard(self, count: int, peers: Peers) -> Transitions:
         """The equal share of each batch that one of several learners computes on.
 
         Args:
@@ -78,7 +78,7 @@ class Transitions:
         if peers.world_size == 1:
             return self
         fields = Transitions.__dataclass_fields__
-        return Transitions(**{f: own_rows(getattr(self, f), count, peers) for f in fields})
+        return Transitions(**{f: local_rows(getattr(self, f), count, peers) for f in fields})
 
 
 class EpisodeReplay:

@@ -51,7 +51,7 @@ def with_target_values(learner: DDPG, values: Sequence[Sequence[float]]) -> DDPG
     """Make each target critic say the same value everywhere. ``(components, members)``"""
     flat = [value for members in values for value in members]
     with torch.no_grad():
-        for head, value in zip(heads(learner._target_critics), flat, strict=True):
+        for head, value in zip(heads(learner._networks.target_critics), flat, strict=True):
             head.weight.zero_()
             head.bias.fill_(value)
     return learner

@@ -12,8 +12,8 @@ from torch import nn
 
 from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.networks.data_parallel import ALONE, Peers, own_rows
-from iher_robot.learning.networks.flat_parameters import Flat
+from iher_robot.learning.networks.data_parallel import ALONE, Peers, local_rows
+from iher_robot.learning.networks.flat_parameters import FlatParameters
 from iher_robot.learning.networks.mlp import forward, in_blocks, mlp
 from iher_robot.learning.networks.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
@@ -76,7 +76,7 @@ class DynamicsEnsemble:
         self.members = nn.ModuleList(
             mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
         ).to(device)
-        self._flat = Flat(self.members)
+        self._flat = FlatParameters(self.members)
         self.input_normalizer = FittedNormalizer(inputs, std_floor=config.std_floor, device=device)
         self.delta_normalizer = FittedNormalizer(
             shapes.obs_dim, std_floor=config.std_floor, device=device
@@ -125,7 +125,7 @@ class DynamicsEnsemble:
             # Rows of each member's own: those that learn from the same would hardly disagree.
             episode, tick = real.draw(members * batch_size, generator, weights)
             observation, action, following = (
-                own_rows(each, members, self._peers)
+                local_rows(each, members, self._peers)
                 for each in self._steps(real, episode, tick, generator)
             )
             target = self.delta_normalizer.normalize(following - observation)

@@ -11,7 +11,7 @@ ALIGNMENT = 16
 """Each parameter begins at a multiple of so many numbers: a line of the processor's cache."""
 
 
-class Flat:
+class FlatParameters:
     """All parameters of a module as one tensor, and all of their gradients as another.
 
     An optimiser, a running mean or an average over processes is then one operation, whatever the
@@ -43,7 +43,7 @@ class Flat:
             parameter.grad = gradient[: parameter.numel()].view_as(parameter)
 
     @torch.no_grad()
-    def follow(self, source: Flat, share: float | torch.Tensor) -> None:
+    def follow(self, source: FlatParameters, share: float | torch.Tensor) -> None:
         """Move towards the parameters of a module of the same kind by a share."""
         self.values.lerp_(source.values, share)
 

@@ -12,7 +12,12 @@ import torch
 
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.networks.data_parallel import ALONE, Peers, own_rows, require_equal_shares
+from iher_robot.learning.networks.data_parallel import (
+    ALONE,
+    Peers,
+    local_rows,
+    require_equal_shards,
+)
 from iher_robot.learning.replay import Transitions
 from tests.learning.point_mass import PointMassGoals
 from tests.learning.quick_learner import new, quick, real
@@ -89,14 +94,14 @@ def test_several_learners_equal_one_with_the_whole_batch(count: int) -> None:
 def test_the_shares_of_a_batch_are_its_rows() -> None:
     rows = torch.arange(24.0)
     block = Transitions(*[rows + 100 * field for field in range(7)])
-    shares = together(3, lambda peers: block.share(2, peers))
+    shares = together(3, lambda peers: block.shard(2, peers))
     for first, last in ((0, 12), (12, 24)):
         found = torch.cat([share.observation.chunk(2)[first // 12] for share in shares])
         assert sorted(found.tolist()) == rows[first:last].tolist()
     for share in shares:
         assert torch.equal(share.source, share.observation + 600)
-    assert block.share(2, ALONE) is block
-    assert own_rows(rows, 2, ALONE) is rows
+    assert block.shard(2, ALONE) is block
+    assert local_rows(rows, 2, ALONE) is rows
 
 
 def test_batches_that_cannot_be_shared_are_refused() -> None:
@@ -113,4 +118,4 @@ def test_batches_that_cannot_be_shared_are_refused() -> None:
         new(config)
     without_models = quick(dynamics={"batch_size": 7}, imagination={"enabled": False})
     new(without_models, peers=peers)
-    require_equal_shares("a batch", 12, peers)
+    require_equal_shards("a batch", 12, peers)
