@@ -15,7 +15,7 @@ from iher_robot.learning.networks.critics import Critics
 from iher_robot.learning.networks.cuda_graphs import CudaGraphs, Tensors
 from iher_robot.learning.networks.data_parallel import ALONE, Peers, average_values
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 
 
 def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:

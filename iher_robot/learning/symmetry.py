@@ -7,7 +7,7 @@ from typing import Protocol
 
 import torch
 
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 
 
 class SymmetryMap(Protocol):

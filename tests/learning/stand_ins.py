@@ -68,7 +68,7 @@ def replay_of(
 
 def stored(replay: EpisodeReplay) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Observation, action and next observation of every stored transition."""
-    return replay.steps(*replay.every_step())
+    return replay.steps(*replay.all_indices())
 
 
 def linear_ensemble(

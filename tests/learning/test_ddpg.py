@@ -14,7 +14,7 @@ from torch import nn
 
 from iher_robot.learning.ddpg import DDPG, target_bounds
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import SHAPES, small_config
 from tests.learning.stand_ins import ACTION, CPU, OBS, generator
 

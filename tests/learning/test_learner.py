@@ -13,7 +13,8 @@ import torch
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.quick_learner import HER, after, new, quick, real, rows
 from tests.learning.stand_ins import FarAwaySymmetry, deviation, generator, same, stored
@@ -31,14 +32,14 @@ def test_the_dynamics_are_trained_longest_in_the_first_epoch_on_batches_of_all_w
     workers: int, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = set()
-    draw = EpisodeReplay.draw
+    draw = EpisodeReplay.sample_indices
 
     def spy(self: EpisodeReplay, count: int, *args: Any) -> tuple[torch.Tensor, torch.Tensor]:
         if args[1:]:  # weighted draws are those of the dynamics
             sizes.add((self.source, count))
         return draw(self, count, *args)
 
-    monkeypatch.setattr(EpisodeReplay, "draw", spy)
+    monkeypatch.setattr(EpisodeReplay, "sample_indices", spy)
     learner = new(quick(schedule={"workers": workers, "first_epoch_dynamics_factor": 5}))
     taken = []
     for epoch in (1, 2, 3):
@@ -102,7 +103,7 @@ def test_every_cached_intrinsic_reward_equals_a_fresh_one(regenerate: bool, redu
         intrinsic={"reduce": reduce, "scale": 20.0 if reduce == "mean" else 3.0},
     )
     learner = after(3, config)
-    for replay in (learner.real, learner.imagined.replay):
+    for replay in (learner.real.replay, learner.imagined.replay):
         batch = replay.sample(8000, generator(), PointMassGoals(), future_fraction=0.8)
         seen = torch.cat([batch.observation, batch.action, batch.next_observation], dim=-1)
         assert {tuple(row) for row in seen.tolist()} == rows(replay)  # every one was drawn
@@ -118,7 +119,7 @@ def test_without_intrinsic_rewards_every_one_is_zero() -> None:
         learner.add_real(real(epoch))
         metrics = learner.learn()
     assert metrics["intrinsic_imagined"] == 0
-    for replay in (learner.real, learner.imagined.replay):
+    for replay in (learner.real.replay, learner.imagined.replay):
         batch = replay.sample(500, generator(), PointMassGoals(), future_fraction=0.8)
         assert (batch.intrinsic == 0).all()
 
@@ -245,7 +246,7 @@ def test_episodes_that_did_not_move_the_achieved_goal_are_drawn_less() -> None:
         each.add_real(episodes)
     resumed.load_state_dict(learner.state_dict(), [episodes])
     for each, share in ((learner, 0.1), (resumed, 0.1), (plain, 0.25)):
-        batch = each.real.sample(10_000, generator(), PointMassGoals(), future_fraction=0.8)
+        batch = each.real.replay.sample(10_000, generator(), PointMassGoals(), future_fraction=0.8)
         counts = torch.bincount(batch.observation[:, 2].long(), minlength=4)
         expected = torch.tensor([share, share, 0.5 - share, 0.5 - share])
         assert deviation(counts, expected) < 4
@@ -275,9 +276,9 @@ def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
 
         ddpg.update_block = seen  # type: ignore[method-assign]
     learner.add_real(real(1))
-    real_rows = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    real_rows = {tuple(row) for row in learner.real.replay.start_observations()[:, :2].tolist()}
     learner.learn()
-    actions = {tuple(row) for row in stored(learner.real)[1].tolist()}
+    actions = {tuple(row) for row in stored(learner.real.replay)[1].tolist()}
     assert len(batches) == 12 + 4 * TICKS
     for index, batch in enumerate(batches):
         told = batch.source == REAL
@@ -296,7 +297,7 @@ def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
     # The models know images only, imagination starts from them, and the data stay as they were.
     assert (learner.ensemble.obs_low[:2] > 99).all()
     assert (learner.imagined.replay.start_observations()[:, :2] > 99).all()
-    after = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    after = {tuple(row) for row in learner.real.replay.start_observations()[:, :2].tolist()}
     assert after == real_rows
 
 

@@ -20,7 +20,7 @@ TICKS = SHAPES.episode_ticks
 
 def test_the_dynamics_statistics_know_the_real_data_only() -> None:
     learner = after(2, quick())
-    observation, action, following = stored(learner.real)
+    observation, action, following = stored(learner.real.replay)
     inputs = torch.cat([observation, action], dim=-1)
     torch.testing.assert_close(learner.ensemble.input_normalizer.mean, inputs.mean(0))
     every = torch.cat([observation, following])
@@ -42,7 +42,7 @@ def test_imagined_data_never_enter_the_real_store() -> None:
         for e in everything:
             arrays = (torch.as_tensor(x)[None] for x in (e.observations, e.actions, e.desired_goal))
             expected.add(*arrays, epoch=1)
-        for mine, theirs in zip(stored(learner.real), stored(expected), strict=True):
+        for mine, theirs in zip(stored(learner.real.replay), stored(expected), strict=True):
             assert torch.equal(mine, theirs)
 
 
@@ -52,10 +52,10 @@ def test_real_transitions_carry_the_epoch_of_their_collection_also_after_a_resta
     for episodes in epochs:
         learner.add_real(episodes)
     resumed.load_state_dict(learner.state_dict(), epochs)
-    for replay in (learner.real, resumed.real):
+    for replay in (learner.real.replay, resumed.real.replay):
         for epoch in (1, 2, 3):
             only = torch.eye(4)[epoch]
-            _, action, _ = replay.steps(*replay.draw(100, generator(), only))
+            _, action, _ = replay.steps(*replay.sample_indices(100, generator(), only))
             assert set(action[:, 0].tolist()) == {float(epoch)}
 
 
@@ -69,7 +69,7 @@ def test_neither_a_transition_nor_hindsight_spans_an_invalid_tick() -> None:
     learner = new(quick())
     episode, valid = holes()
     learner.add_real([episode])
-    batch = learner.real.sample(3000, generator(), PointMassGoals(), future_fraction=0.8)
+    batch = learner.real.replay.sample(3000, generator(), PointMassGoals(), future_fraction=0.8)
     tick, goal_tick = batch.action[:, 1].int(), batch.goal[:, 1].int()
     assert set(tick.tolist()) == valid
     hindsight = batch.goal[:, 0] != -1
@@ -130,7 +130,7 @@ def test_the_policys_statistics_are_those_of_real_data_and_relabelled_goals() ->
     for epoch in (1, 2):  # elsewhere in the second, so that each must be counted once
         moved = [replace(e, observations=e.observations + epoch) for e in real(epoch, 100)]
         learner.add_real(moved)
-    observation, _, _ = stored(learner.real)
+    observation, _, _ = stored(learner.real.replay)
     normalizer = learner.policy.obs_normalizer
     torch.testing.assert_close(normalizer.mean, observation.mean(0), atol=0.01, rtol=0)
     torch.testing.assert_close(normalizer.std, observation.std(0), atol=0.01, rtol=0)
@@ -194,8 +194,8 @@ def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_f
 
     monkeypatch.setattr(learner.ensemble, "_inputs", spy)
     learner.add_real(episodes)
-    learner.ensemble.fit_normalizers(learner.real, learner.generator)
-    learner.ensemble.train(learner.real, 2, batch_size=64, generator=learner.generator)
+    learner.ensemble.fit_normalizers(learner.real.replay, learner.generator)
+    learner.ensemble.train(learner.real.replay, 2, batch_size=64, generator=learner.generator)
     for action in (learner.sample_block(1).action, seen[-1]):
         assert (action >= 0).all()
         assert (action <= 1).all()

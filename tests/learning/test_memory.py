@@ -62,7 +62,7 @@ def test_a_learner_whose_replays_are_full_holds_no_more_after_any_epoch(kind: st
     for epoch in range(1, 9):
         epoch_of(learner, ragged(epoch))
         held.append(held_bytes())
-    assert learner.real.num_episodes == 10
+    assert learner.real.replay.num_episodes == 10
     assert len(set(held[3:])) == 1, held
 
 
@@ -136,6 +136,6 @@ def test_episodes_are_restored_one_epoch_at_a_time() -> None:
             yield iter(episodes)
 
     resumed.load_state_dict(learner.state_dict(), read())
-    assert resumed.real.num_transitions == learner.real.num_transitions
-    assert resumed.real.newest_epoch == 6
+    assert resumed.real.replay.num_transitions == learner.real.replay.num_transitions
+    assert resumed.real.replay.newest_epoch == 6
     assert max(alive) - alive[0] <= len(real(1))

@@ -12,7 +12,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import BLOCK
+from iher_robot.learning.transitions import BLOCK
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.quick_learner import new, quick, real
 from tests.learning.stand_ins import FarAwaySymmetry

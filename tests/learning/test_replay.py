@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.goal_model import IMAGINED, REAL
-from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.stand_ins import (
     CPU,
@@ -83,10 +84,10 @@ def test_the_share_of_relabelled_transitions(fraction: float) -> None:
 
 def test_draws_are_uniform_over_transitions_not_over_episodes() -> None:
     replay = replay_of([marked_episode(n, length) for n, length in enumerate([12, 1, 3, 12, 7])])
-    episode, tick = replay.draw(40_000, generator())
+    episode, tick = replay.sample_indices(40_000, generator())
     counts = torch.zeros(5, TICKS)
     counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
-    drawable = counts[replay.every_step()]
+    drawable = counts[replay.all_indices()]
     assert drawable.sum() == len(tick)
     assert deviation(drawable, torch.ones(len(drawable))) < 4
 
@@ -96,7 +97,7 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
     for number, (epoch, length) in enumerate([(1, 12), (2, 2), (2, 7), (3, 5), (4, 1)]):
         store(replay, [marked_episode(number, length)], epoch)
     weights = torch.tensor([9.0, 0.5, 1.0, 0.0, 3.0])
-    episode, tick = replay.draw(40_000, generator(), weights)
+    episode, tick = replay.sample_indices(40_000, generator(), weights)
     counts = torch.zeros(5, TICKS)
     counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
     assert counts[3].sum() == 0  # epoch 3 weighs nothing
@@ -106,7 +107,7 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
     first = counts[0, :12]
     assert deviation(first, torch.ones(12)) < 4
     # A weighted draw leaves the uniform one as it was.
-    again, _ = replay.draw(40_000, generator())
+    again, _ = replay.sample_indices(40_000, generator())
     assert (again == 3).float().mean() == pytest.approx(5 / 27, abs=0.01)
 
 
@@ -115,10 +116,10 @@ def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() ->
 
     def frequencies(replay: EpisodeReplay, *epoch_weights: torch.Tensor) -> torch.Tensor:
         counts = torch.zeros(5, TICKS)
-        drawn = replay.draw(40_000, generator(), *epoch_weights)
+        drawn = replay.sample_indices(40_000, generator(), *epoch_weights)
         counts.index_put_(drawn, torch.ones(40_000), accumulate=True)
-        assert counts[replay.every_step()].sum() == 40_000
-        return counts[replay.every_step()]
+        assert counts[replay.all_indices()].sum() == 40_000
+        return counts[replay.all_indices()]
 
     replay = replay_of()
     for number, (length, weight) in enumerate(zip(lengths, weights, strict=True)):
@@ -136,7 +137,7 @@ def test_a_weight_goes_with_its_episode() -> None:
     replay = replay_of(capacity=2 * TICKS)
     for number, weight in ((0, 1.0), (1, 1e-6), (2, 1.0), (3, 1.0)):
         store(replay, [marked_episode(number, TICKS)], weight=weight)
-        replay.draw(1, generator())
+        replay.sample_indices(1, generator())
         seen = set(sample(replay, 200, 0.0).observation[:, 0].tolist())
         assert seen == {0: {0}, 1: {0}, 2: {2}, 3: {2, 3}}[number]
 
@@ -179,7 +180,7 @@ def test_first_in_first_out(capacity: int, batches: list[tuple[int, int]], seed:
 
 def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> None:
     replay = replay_of([marked_episode(n, TICKS) for n in range(4)], source=IMAGINED)
-    replay.draw(1, generator())
+    replay.sample_indices(1, generator())
     replay.clear()
     assert (replay.num_episodes, replay.num_transitions, replay.newest_epoch) == (0, 0, 0)
     with pytest.raises(ValueError, match=f"source {IMAGINED} holds no episode"):
@@ -191,7 +192,7 @@ def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> 
 def test_a_cached_intrinsic_reward_belongs_to_its_transition_and_dies_with_it() -> None:
     replay = replay_of([marked_episode(n, 5) for n in range(2)], capacity=2 * TICKS)
     assert (sample(replay, 50, 0.0).intrinsic == 0).all()
-    episode, tick = replay.every_step()
+    episode, tick = replay.all_indices()
     replay.store_intrinsic(episode, tick, 10.0 * episode + tick)
     batch = sample(replay, 200, 0.5)
     assert torch.equal(batch.intrinsic, 10 * batch.action[:, 0] + batch.action[:, 1])

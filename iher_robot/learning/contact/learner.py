@@ -19,8 +19,9 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.metrics import Meter
 from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import BLOCK, EpisodeReplay
+from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
+from iher_robot.learning.transitions import BLOCK
 
 TOUCH_WINDOW = 20
 """Newest episodes that decide whether the object is touched often enough."""

@@ -93,7 +93,7 @@ class DynamicsEnsemble:
             real: Real transitions.
             generator: Draws the images.
         """
-        observation, action, following = self._steps(real, *real.every_step(), generator)
+        observation, action, following = self._steps(real, *real.all_indices(), generator)
         self.input_normalizer.fit(torch.cat([observation, action], dim=-1))
         self.delta_normalizer.fit(following - observation)
         self.obs_low = torch.minimum(observation.amin(0), following.amin(0))
@@ -123,7 +123,7 @@ class DynamicsEnsemble:
         loss = torch.zeros((), device=self.obs_low.device)
         for _ in range(steps):
             # Rows of each member's own: those that learn from the same would hardly disagree.
-            episode, tick = real.draw(members * batch_size, generator, weights)
+            episode, tick = real.sample_indices(members * batch_size, generator, weights)
             observation, action, following = (
                 local_rows(each, members, self._peers)
                 for each in self._steps(real, episode, tick, generator)
@@ -153,7 +153,7 @@ class DynamicsEnsemble:
         tick: torch.Tensor,
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        observation, action, following = real.draw_steps(episode, tick, generator)
+        observation, action, following = real.sample_steps(episode, tick, generator)
         if self._symmetry is None:
             return observation, action, following
         maps = choose_maps(self._symmetry, observation, following, generator)

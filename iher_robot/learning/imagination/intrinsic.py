@@ -49,7 +49,7 @@ def refresh_intrinsic(
     Returns:
         The rewards. ``(transitions,)``
     """
-    episodes, ticks = replay.every_step()
+    episodes, ticks = replay.all_indices()
     rewards = []
     for episode, tick in zip(episodes.split(CHUNK), ticks.split(CHUNK), strict=True):
         observation, action, _ = replay.steps(episode, tick)

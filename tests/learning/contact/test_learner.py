@@ -101,7 +101,7 @@ def test_a_curiosity_that_is_stored_with_the_data_is_not_its_own() -> None:
     for reward in (0.0, 0.8):
         learner = contact_learner()
         replay = fed(learner)
-        replay.store_intrinsic(*replay.every_step(), torch.tensor(reward))
+        replay.store_intrinsic(*replay.all_indices(), torch.tensor(reward))
         losses.append(learner.learn(replay, 3, None).means())
     assert losses[0] == losses[1]
 

@@ -13,7 +13,8 @@ from iher_robot.learning.imagination import source as imaginary_source
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.source import ImaginarySource
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.stand_ins import (
     CPU,

@@ -18,7 +18,7 @@ from iher_robot.learning.networks.data_parallel import (
     local_rows,
     require_equal_shards,
 )
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import PointMassGoals
 from tests.learning.quick_learner import new, quick, real
 
