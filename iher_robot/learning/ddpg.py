@@ -96,7 +96,7 @@ class DDPG:
             config.ddpg,
             components=len(bounds),
             generator=generator,
-            products=policy.products,
+            matmul_dtype=policy.matmul_dtype,
         ).to(device)
         # A graph cannot capture communication with other processes.
         captures = config.cuda_graphs and device.type == "cuda" and peers.world_size == 1

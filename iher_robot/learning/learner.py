@@ -94,7 +94,7 @@ class Learner:
             generator=initial,
             device=self.device,
             symmetry=self._symmetry,
-            products=self.policy.products,
+            matmul_dtype=self.policy.matmul_dtype,
             peers=peers,
         )
 

@@ -8,8 +8,7 @@ import torch
 
 from iher_robot.learning.config import ContactConfig, ExplorationConfig
 from iher_robot.learning.contact.approach import LEG_TICKS, ContactPolicy
-from iher_robot.learning.exploration import Explorer
-from iher_robot.learning.policy import explore
+from iher_robot.learning.exploration import Explorer, explore
 from tests.learning.point_mass import MARK, PointMassGoals, observe
 from tests.learning.stand_ins import NO_NOISE, generator, linear_policy
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.config import ExplorationConfig
+from iher_robot.learning.exploration import explore
 from iher_robot.learning.goal_model import IMAGINED, REAL
-from iher_robot.learning.policy import Policy, explore
+from iher_robot.learning.policy import Policy
 from tests.learning.point_mass import SHAPES, small_config
 from tests.learning.stand_ins import (
     CPU,

@@ -83,7 +83,7 @@ def test_it_learns_to_reach_goals_from_sparse_rewards(ablation: str) -> None:
 @pytest.mark.parametrize("ablation", ["iher", "her"])
 def test_it_learns_as_well_with_products_in_bfloat16(ablation: str) -> None:
     learner = new(config(ablation).model_copy(update={"matmul_precision": "bfloat16"}))
-    assert learner.policy.products == torch.bfloat16
+    assert learner.policy.matmul_dtype == torch.bfloat16
     train(learner, 1, 3)
     assert success(learner.policy) > 0.6
     assert success(learner.acting_policy(CPU)) > 0.6

@@ -38,19 +38,18 @@ def recency_weights(epoch: int, config: DynamicsConfig) -> torch.Tensor:
 
 
 class DynamicsEnsemble:
-    """Networks that each predict the change of the observation in one control tick.
+    """Networks, each of which predicts the change of the observation in one control tick.
 
-    Members differ by their initial weights and by the batches they see. Inputs and targets are
-    normalised with statistics of the real data, refitted by ``fit_normalizers`` and frozen
-    until its next call.
+    Members differ in their initial weights and in their batches. Inputs and targets are normalised
+    with statistics of the real data, which only ``fit_normalizers`` changes.
 
     Args:
         shapes: Sizes of the arrays.
         config: Size, training and normalisation.
         generator: Draws the initial weights, on the CPU.
         device: Where the models compute.
-        symmetry: Maps whose images of the real transitions are learned from; None for none.
-        products: Type of the matrix products between hidden layers.
+        symmetry: Maps whose images of real transitions are learned from; None for none.
+        matmul_dtype: Type of the matrix products between hidden layers.
         peers: Learners with which it shares every batch.
     """
 
@@ -62,7 +61,7 @@ class DynamicsEnsemble:
         generator: torch.Generator,
         device: torch.device,
         symmetry: Symmetry | None = None,
-        products: torch.dtype = torch.float32,
+        matmul_dtype: torch.dtype = torch.float32,
         peers: Peers = ALONE,
     ) -> None:
         self.config = config
@@ -72,7 +71,7 @@ class DynamicsEnsemble:
             self._seen[list(shapes.shifted_entries)] = 0.0
         self._symmetry = symmetry
         inputs = shapes.obs_dim + shapes.action_dim
-        self._products = products
+        self._matmul_dtype = matmul_dtype
         self.members = nn.ModuleList(
             mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
         ).to(device)
@@ -81,13 +80,13 @@ class DynamicsEnsemble:
         self.delta_normalizer = FittedNormalizer(
             shapes.obs_dim, std_floor=config.std_floor, device=device
         )
-        # Bounds of the real observations, for imagination.
+        # Range of the real observations, for imagination.
         self.obs_low = torch.full((shapes.obs_dim,), -torch.inf, device=device)
         self.obs_high = torch.full((shapes.obs_dim,), torch.inf, device=device)
         self._optimizer = torch.optim.Adam([self._flat.values], lr=config.lr, fused=True)
 
     def fit_normalizers(self, real: EpisodeReplay, generator: torch.Generator) -> None:
-        """Refit the statistics to every stored real transition, or to an image of each.
+        """Fit the statistics to every stored real transition, or to an image of each.
 
         Args:
             real: Real transitions.
@@ -102,7 +101,7 @@ class DynamicsEnsemble:
     def train(
         self, real: EpisodeReplay, steps: int, *, batch_size: int, generator: torch.Generator
     ) -> float:
-        """Take gradient steps on each member with batches of its own.
+        """Take gradient steps on each member, with separate batches.
 
         Args:
             real: Real transitions.
@@ -122,7 +121,7 @@ class DynamicsEnsemble:
         members = len(self.members)
         loss = torch.zeros((), device=self.obs_low.device)
         for _ in range(steps):
-            # Rows of each member's own: those that learn from the same would hardly disagree.
+            # Separate rows for each member: members trained on the same would hardly disagree.
             episode, tick = real.sample_indices(members * batch_size, generator, weights)
             observation, action, following = (
                 local_rows(each, members, self._peers)
@@ -181,7 +180,7 @@ class DynamicsEnsemble:
 
     def _forward(self, member: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
         assert isinstance(member, nn.Sequential)
-        return forward(member, inputs, self._products)
+        return forward(member, inputs, self._matmul_dtype)
 
     def next_observation(
         self, observation: torch.Tensor, normalized_delta: torch.Tensor

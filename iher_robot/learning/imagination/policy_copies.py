@@ -27,16 +27,16 @@ class PolicyCopies:
         """Keep a copy of the policy as it is after that cycle."""
         self._copies.append((cycle, policy.snapshot()))
 
-    def older_than(self, cycle: int, products: torch.dtype) -> Iterator[Policy]:
+    def older_than(self, cycle: int, matmul_dtype: torch.dtype) -> Iterator[Policy]:
         """Copies from the newest to the oldest, without one made after this cycle.
 
         Args:
             cycle: Cycles so far; a copy of that cycle equals the current policy.
-            products: Type of the policies' matrix products.
+            matmul_dtype: Type of the policies' matrix products.
         """
         for copied_at, snapshot in reversed(self._copies):
             if copied_at != cycle:
-                yield Policy.from_snapshot(snapshot, device=self._device, products=products)
+                yield Policy.from_snapshot(snapshot, device=self._device, matmul_dtype=matmul_dtype)
 
     def state(self) -> list[tuple[int, dict[str, Any]]]:
         """The copies, from the oldest to the newest."""

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.exploration import explore
 from iher_robot.learning.goal_model import IMAGINED, REAL, GoalModel, Shapes
 from iher_robot.learning.imagination.dynamics import DIVERGED, DynamicsEnsemble
 from iher_robot.learning.imagination.intrinsic import disagreement, intrinsic_reward
@@ -16,7 +17,7 @@ from iher_robot.learning.imagination.policy_copies import PolicyCopies
 from iher_robot.learning.imagination.rollout import ImaginedRollouts, imagine
 from iher_robot.learning.imagination.starts import StartStates
 from iher_robot.learning.metrics import Meter
-from iher_robot.learning.policy import Policy, explore
+from iher_robot.learning.policy import Policy
 from iher_robot.learning.progress import Progress
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
@@ -138,7 +139,7 @@ class ImaginarySource:
         self.replay.clear()
         if self._branches:
             return {}
-        policies = [policy, *self.policy_copies.older_than(cycle, policy.products)]
+        policies = [policy, *self.policy_copies.older_than(cycle, policy.matmul_dtype)]
         share = max(self.rollouts_per_policy, math.ceil(self._missing() / len(policies)))
         meter = Meter()
         while self._missing():

@@ -76,12 +76,12 @@ class ActorCritic:
 
     def update_mean_actor(self, share: torch.Tensor) -> None:
         """Move the mean actor towards the actor by a share."""
-        self._flat["mean_actor"].follow(self._flat["actor"], share)
+        self._flat["mean_actor"].move_towards(self._flat["actor"], share)
 
     def update_targets(self) -> None:
         """Move the target networks towards the online ones by ``tau``."""
         for name in ("actor", "critics"):
-            self._flat[f"target_{name}"].follow(self._flat[name], self._tau)
+            self._flat[f"target_{name}"].move_towards(self._flat[name], self._tau)
 
     def state_dict(self) -> dict[str, Any]:
         """Copy of networks and optimisers, without the actor, which is saved with its policy."""

@@ -11,7 +11,7 @@ import torch
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.contact.approach import ContactPolicy
 from iher_robot.learning.contact.learner import TOUCH_WINDOW, ContactLearner
-from iher_robot.learning.contact.model import EffectorGoals, gap
+from iher_robot.learning.contact.model import EffectorGoals, effector_distance
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.replay import EpisodeReplay
 from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals, observe, rollout
@@ -93,7 +93,7 @@ def test_the_goals_reward_is_that_of_the_radius() -> None:
     observation = torch.as_tensor(random_episodes(1)[0].observations)
     assert torch.equal(goals.achieved_goal(observation), observation[:, :2])
     expected = np.linalg.norm(observation[:, :2].numpy() - MARK, axis=-1)
-    np.testing.assert_allclose(gap(PointMassGoals(), observation), expected)
+    np.testing.assert_allclose(effector_distance(PointMassGoals(), observation), expected)
 
 
 def test_a_curiosity_that_is_stored_with_the_data_is_not_its_own() -> None:

@@ -69,6 +69,6 @@ def test_one_module_moves_towards_another_by_a_share(share: float | torch.Tensor
     one, other = mlp(3, (5,), 2, generator(1)), mlp(3, (5,), 2, generator(2))
     pairs = zip(one.parameters(), other.parameters(), strict=True)
     expected = [torch.lerp(a.detach(), b.detach(), 0.3) for a, b in pairs]
-    FlatParameters(one).follow(FlatParameters(other), share)
+    FlatParameters(one).move_towards(FlatParameters(other), share)
     for parameter, wanted in zip(one.parameters(), expected, strict=True):
         torch.testing.assert_close(parameter.detach(), wanted)

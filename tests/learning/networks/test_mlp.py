@@ -107,9 +107,9 @@ def test_gradients_through_rounded_products_are_nearly_those_through_exact_ones(
     inputs = torch.randn(256, 4, generator=generator(1), requires_grad=True)
     wanted = [inputs, *network.parameters()]
     found = {}
-    for products in (torch.float32, torch.bfloat16):
-        loss = forward(network, inputs, products).square().mean()
-        found[products] = torch.autograd.grad(loss, wanted)
+    for dtype in (torch.float32, torch.bfloat16):
+        loss = forward(network, inputs, dtype).square().mean()
+        found[dtype] = torch.autograd.grad(loss, wanted)
     for exact, rounded in zip(found[torch.float32], found[torch.bfloat16], strict=True):
         assert rounded.dtype == torch.float32
         assert (rounded - exact).norm() < 0.03 * exact.norm()

@@ -6,7 +6,11 @@ import pytest
 import torch
 
 from iher_robot.learning.networks import precision
-from iher_robot.learning.networks.precision import Precision, products_of, set_float32_products
+from iher_robot.learning.networks.precision import (
+    Precision,
+    pick_matmul_dtype,
+    set_float32_precision,
+)
 from tests.learning.quick_learner import new, quick, real
 from tests.learning.stand_ins import CPU
 
@@ -26,14 +30,14 @@ def test_bfloat16_is_taken_where_asked_for_or_where_auto_finds_it(
     asked: Precision, capable: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": capable})
-    assert products_of(asked, CPU) == expected
+    assert pick_matmul_dtype(asked, CPU) == expected
 
 
 def test_a_cpu_that_is_not_known_is_taken_to_have_no_bfloat16(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
-    assert not precision.multiplies_bfloat16(CPU)
+    assert not precision.has_bfloat16(CPU)
 
 
 def test_float32_products_are_set_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +48,7 @@ def test_float32_products_are_set_for_the_process(monkeypatch: pytest.MonkeyPatc
             has = {"avx512_bf16": capable}
             monkeypatch.setattr(torch.cpu, "get_capabilities", lambda has=has: has)
             for asked, found in (expected | {"auto": auto}).items():
-                set_float32_products(asked, CPU)  # type: ignore[arg-type]
+                set_float32_precision(asked, CPU)  # type: ignore[arg-type]
                 assert torch.get_float32_matmul_precision() == found
     finally:
         torch.set_float32_matmul_precision(before)
@@ -63,7 +67,7 @@ def test_all_networks_of_a_learner_compute_in_its_precision_and_are_saved_whole(
         assert {each.dtype for each in state["policy"]["actor"].values()} == {torch.float32}
         learned[asked] = weights
         # What acts on a robot is not rounded.
-        assert learner.acting_policy(CPU).products == torch.float32
+        assert learner.acting_policy(CPU).matmul_dtype == torch.float32
     for exact, rounded in zip(learned["highest"], learned["bfloat16"], strict=True):
         if exact.dim() == 2:
             assert not torch.equal(exact, rounded)
