@@ -1,4 +1,4 @@
-"""DDPG: targets, target networks, and what each loss may touch."""
+"""DDPG: targets, target networks, and the networks that each loss trains."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from torch import nn
 from iher_robot.learning.ddpg import DDPG, target_bounds
 from iher_robot.learning.policy import Policy
 from iher_robot.learning.transitions import Transitions
+from tests.learning.fakes import ACTION, CPU, OBS, generator
 from tests.learning.point_mass import SHAPES, small_config
-from tests.learning.stand_ins import ACTION, CPU, OBS, generator
 
 Settings = dict[str, Any]
 
@@ -48,7 +48,7 @@ def heads(critics: nn.Module) -> list[nn.Linear]:
 
 
 def with_target_values(learner: DDPG, values: Sequence[Sequence[float]]) -> DDPG:
-    """Make each target critic say the same value everywhere. ``(components, members)``"""
+    """Give each target critic a constant value. ``(components, members)``"""
     flat = [value for members in values for value in members]
     with torch.no_grad():
         for head, value in zip(heads(learner._networks.target_critics), flat, strict=True):
@@ -74,7 +74,7 @@ def change(learner: DDPG, name: str, data: Transitions, updates: int = 1) -> flo
     [("her", (-10.0, 0.0)), ("intrinsic", (-10.0, 6.0)), ("off", (-float("inf"), float("inf")))],
 )
 @pytest.mark.parametrize("value", [-30.0, -9.5, 0.0, 0.4, 6.0, 30.0])
-def test_targets_are_rewards_and_discounted_value_clipped_to_what_can_be(
+def test_targets_are_reward_plus_discounted_value_clipped_to_possible_returns(
     clip_target: str, bounds: tuple[float, float], value: float
 ) -> None:
     learner = ddpg(gamma=0.9, clip_target=clip_target, intrinsic_clip=0.6)
@@ -89,7 +89,7 @@ def test_targets_are_rewards_and_discounted_value_clipped_to_what_can_be(
     assert float(reported) == pytest.approx(float(outside.float().mean()))
 
 
-def test_targets_look_at_the_next_observation_with_the_target_networks() -> None:
+def test_targets_depend_on_the_next_observation_and_the_target_networks_only() -> None:
     learner, data = ddpg(clip_target="off"), batch()
     before, _ = learner.targets(data)
     for field in ("observation", "action"):
@@ -106,7 +106,7 @@ def test_targets_look_at_the_next_observation_with_the_target_networks() -> None
 
 
 @pytest.mark.parametrize("tau", [0.05, 0.5, 1.0])
-def test_target_networks_move_by_exactly_tau_and_only_when_told(tau: float) -> None:
+def test_target_networks_move_by_exactly_tau_and_only_when_updated(tau: float) -> None:
     learner, data = ddpg(tau=tau), batch()
     old = {name: weights(learner, f"target_{name}") for name in ("actor", "critics")}
     for _ in range(5):
@@ -173,20 +173,20 @@ def test_updates_lower_the_critics_loss_on_a_fixed_batch() -> None:
     assert float(learner.update(data)["critic_loss"]) == pytest.approx(float(expected), rel=1e-5)
 
 
-def test_the_critic_hears_the_source_only_where_it_is_an_input() -> None:
+def test_the_critics_depend_on_the_source_only_if_it_is_an_input() -> None:
     data = batch()
     flipped = replace(data, source=1 - data.source)
-    for told in (True, False):
-        learner = ddpg(source_input=told, clip_target="off")
+    for is_input in (True, False):
+        learner = ddpg(source_input=is_input, clip_target="off")
         same = torch.equal(learner.targets(data)[0], learner.targets(flipped)[0])
-        assert same is not told
+        assert same is not is_input
 
 
 MANY = {"critics": 3, "target_subset": 2}
 
 
 @pytest.mark.parametrize("subset", [1, 2, 3])
-def test_targets_bootstrap_from_the_least_of_the_critics_that_are_drawn(subset: int) -> None:
+def test_targets_bootstrap_from_the_minimum_of_the_drawn_critics(subset: int) -> None:
     learner = ddpg(gamma=0.5, clip_target="off", critics=3, target_subset=subset)
     values, data = [-3.0, 1.0, -7.0], batch()
     with_target_values(learner, [values])
@@ -243,7 +243,7 @@ def test_the_actor_climbs_the_mean_of_its_critics_summed_over_components() -> No
     ],
 )
 @pytest.mark.parametrize("values", [(-9.5, 6.5), (0.5, -1.0), (-30.0, 2.0)])
-def test_each_component_has_targets_of_its_own_reward_and_bounds(
+def test_each_component_has_targets_from_its_reward_and_bounds(
     clip_target: str, bounds: list[tuple[float, float]], values: tuple[float, float]
 ) -> None:
     settings: Settings = {"gamma": 0.9, "clip_target": clip_target, "intrinsic_clip": 0.6}
@@ -285,7 +285,7 @@ def test_targets_move_at_each_update_or_at_the_end_of_a_cycle() -> None:
                 assert not torch.equal(weights(learner, f"target_{name}"), before)
 
 
-def test_a_running_mean_of_the_actors_weights_acts_where_it_is_asked_for() -> None:
+def test_the_running_mean_of_the_actors_weights_acts_if_enabled() -> None:
     data, mean = batch(), ddpg(policy_average=0.25)
     expected = weights(mean, "actor")
     assert torch.equal(acting(mean), expected)
@@ -317,14 +317,14 @@ def acting(learner: DDPG) -> torch.Tensor:
     ],
     ids=["paper", "ensemble"],
 )
-def test_a_restored_learner_goes_on_as_the_original_does(settings: Settings) -> None:
+def test_a_restored_ddpg_continues_like_the_original(settings: Settings) -> None:
     original, data = ddpg(seed=0, **settings), batch()
     for _ in range(3):
         original.update(data)
         original.update_targets()
     state, snapshot = original.state_dict(), original.policy.snapshot()
     copies = ddpg(seed=1, **settings), ddpg(seed=2, **settings)
-    for learner in (original, *copies):  # in turn: none may write to the state of the others
+    for learner in (original, *copies):  # in turn: none may write to the shared state
         if learner is not original:
             learner.load_state_dict(state)
             learner.policy.load_snapshot(snapshot)

@@ -1,4 +1,4 @@
-"""What the networks are told of a transition's source."""
+"""Encoding of a transition's source as a network input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which data the learner keeps, mixes and takes its statistics from."""
+"""Data of the learner: storage, mixture in a batch, statistics."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import torch
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.fakes import CPU, generator, marked_episode, stored
 from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.quick_learner import after, new, quick, real, rows
-from tests.learning.stand_ins import CPU, generator, marked_episode, stored
+from tests.learning.small_learner import after, new, quick, real, rows
 
 TICKS = SHAPES.episode_ticks
 
 
-def test_the_dynamics_statistics_know_the_real_data_only() -> None:
+def test_the_models_statistics_are_those_of_real_data_only() -> None:
     learner = after(2, quick())
     observation, action, following = stored(learner.real.replay)
     inputs = torch.cat([observation, action], dim=-1)
@@ -94,9 +94,9 @@ def test_the_share_of_imagined_transitions_is_that_of_newly_collected_ones() -> 
         assert metrics["imagined_transitions"] == imagined
         assert metrics["imagined_stored"] == 3 * TICKS
         assert metrics["imagined_share"] == pytest.approx(imagined / (imagined + collected))
-        told = learner.sample_block(1).source
-        assert len(told) == 50
-        assert int((told == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
+        sources = learner.sample_block(1).source
+        assert len(sources) == 50
+        assert int((sources == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
 
 
 def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
@@ -105,7 +105,7 @@ def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
     assert len(learner.sample_block(1).source) == 150
 
 
-def test_batches_that_are_drawn_together_are_as_large_and_as_mixed_as_one() -> None:
+def test_batches_sampled_together_have_the_size_and_mixture_of_one() -> None:
     learner = new(quick(imagination={"share": 0.4}))
     learner.add_real(real(1))
     learner.learn()
@@ -127,7 +127,7 @@ def test_the_policys_statistics_are_those_of_real_data_and_relabelled_goals() ->
     assert goal_mean(0.8) == pytest.approx(20.0, abs=6.0)
 
     learner = new(quick())
-    for epoch in (1, 2):  # elsewhere in the second, so that each must be counted once
+    for epoch in (1, 2):  # shifted by epoch, so that counting one twice would show
         moved = [replace(e, observations=e.observations + epoch) for e in real(epoch, 100)]
         learner.add_real(moved)
     observation, _, _ = stored(learner.real.replay)
@@ -178,7 +178,7 @@ def test_without_regeneration_the_oldest_imagined_data_go_first() -> None:
 
 
 @pytest.mark.parametrize("actions", ["applied", "between"])
-def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_from(
+def test_requested_actions_reach_policy_and_models_only_with_between(
     actions: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learner = new(quick(replay={"actions": actions}))

@@ -1,4 +1,4 @@
-"""Hindsight replay: what may be stored, drawn and relabelled."""
+"""Hindsight replay: storage, sampling, relabelling."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.transitions import Transitions
-from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.stand_ins import (
+from tests.learning.fakes import (
     CPU,
     deviation,
     generator,
@@ -20,6 +19,7 @@ from tests.learning.stand_ins import (
     store,
     stored,
 )
+from tests.learning.point_mass import SHAPES, PointMassGoals
 
 TICKS = SHAPES.episode_ticks
 lengths_strategy = st.lists(st.integers(1, TICKS), min_size=1, max_size=8)
@@ -59,7 +59,7 @@ def test_the_reward_is_that_of_the_next_observation_under_the_goal(
     goals = PointMassGoals()
     achieved = goals.achieved_goal(batch.next_observation)
     assert torch.equal(batch.extrinsic, goals.compute_reward(achieved, batch.goal))
-    # Said without the goal model: met where the goal is what the very next tick achieved.
+    # Without the goal model: the goal is met where it equals the next tick's achieved goal.
     met = (batch.goal == batch.next_observation[:, :2]).all(-1)
     assert torch.equal(batch.extrinsic == 0, met)
     assert (batch.extrinsic[~met] == -1).all()
@@ -106,12 +106,12 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
         assert counts[number].sum() / 40_000 == pytest.approx(expected, abs=0.01)
     first = counts[0, :12]
     assert deviation(first, torch.ones(12)) < 4
-    # A weighted draw leaves the uniform one as it was.
+    # A weighted draw does not affect uniform ones.
     again, _ = replay.sample_indices(40_000, generator())
     assert (again == 3).float().mean() == pytest.approx(5 / 27, abs=0.01)
 
 
-def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() -> None:
+def test_draws_follow_the_weights_of_the_episodes_unless_epoch_weights_are_given() -> None:
     lengths, weights = [12, 3, 7, 12, 1], [1.0, 0.25, 0.25, 1.0, 4.0]
 
     def frequencies(replay: EpisodeReplay, *epoch_weights: torch.Tensor) -> torch.Tensor:
@@ -133,7 +133,7 @@ def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() ->
     assert float(share) == pytest.approx(4 / float(a_tick.sum()), abs=0.01)
 
 
-def test_a_weight_goes_with_its_episode() -> None:
+def test_a_weight_is_dropped_with_its_episode() -> None:
     replay = replay_of(capacity=2 * TICKS)
     for number, weight in ((0, 1.0), (1, 1e-6), (2, 1.0), (3, 1.0)):
         store(replay, [marked_episode(number, TICKS)], weight=weight)
@@ -178,7 +178,7 @@ def test_first_in_first_out(capacity: int, batches: list[tuple[int, int]], seed:
     assert {tuple(row) for row in batch.action.int().tolist()} <= kept
 
 
-def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> None:
+def test_a_cleared_replay_is_empty_and_sampling_it_names_the_source() -> None:
     replay = replay_of([marked_episode(n, TICKS) for n in range(4)], source=IMAGINED)
     replay.sample_indices(1, generator())
     replay.clear()
@@ -189,7 +189,7 @@ def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> 
     assert set(sample(replay, 100, 0.0).action[:, 0].tolist()) == {9.0}
 
 
-def test_a_cached_intrinsic_reward_belongs_to_its_transition_and_dies_with_it() -> None:
+def test_a_cached_intrinsic_reward_is_stored_and_dropped_with_its_transition() -> None:
     replay = replay_of([marked_episode(n, 5) for n in range(2)], capacity=2 * TICKS)
     assert (sample(replay, 50, 0.0).intrinsic == 0).all()
     episode, tick = replay.all_indices()
@@ -215,7 +215,7 @@ def test_each_batch_of_a_block_has_its_share_of_every_source() -> None:
 
 
 @pytest.mark.parametrize("between", [False, True])
-def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
+def test_actions_are_applied_ones_or_between_applied_and_requested_ones(
     between: bool,
 ) -> None:
     replay = EpisodeReplay(SHAPES, capacity=1200, source=REAL, device=CPU, between=between)
@@ -225,7 +225,7 @@ def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
     observations = torch.zeros(3, SHAPES.episode_ticks + 1, SHAPES.obs_dim)
     goals = torch.zeros(3, SHAPES.goal_dim)
     replay.add(observations, applied, goals, epoch=1, requested=requested)
-    replay.add(observations, -applied, goals, epoch=1)  # nothing was cut down
+    replay.add(observations, -applied, goals, epoch=1)  # no request was clipped
     action = replay.sample(4000, generator(), PointMassGoals(), future_fraction=0.8).action
     first = action[action[:, 0] > 0]
     assert (action[action[:, 0] < 0] == -0.2).all()
@@ -242,7 +242,7 @@ def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(1, 4), lengths_strategy, st.booleans())
-def test_a_replay_that_is_restored_draws_and_forgets_as_the_first(
+def test_a_restored_replay_samples_and_overwrites_like_the_original(
     capacity: int, lengths: list[int], between: bool
 ) -> None:
     first, second = (

@@ -1,4 +1,4 @@
-"""Parameters in one piece of memory: the module stays what it was, and follows."""
+"""Parameters in one tensor: the module is equivalent, and its parameters are views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 
 from iher_robot.learning.networks.flat_parameters import FlatParameters
 from iher_robot.learning.networks.mlp import mlp
-from tests.learning.stand_ins import generator
+from tests.learning.fakes import generator
 
 
 def inputs() -> torch.Tensor:
@@ -28,7 +28,7 @@ def test_a_module_computes_as_before_and_its_parameters_are_views() -> None:
     assert torch.equal(module(inputs()), torch.zeros(20, 2))
 
 
-def test_loaded_weights_arrive_in_the_one_piece() -> None:
+def test_loaded_weights_arrive_in_the_flat_tensor() -> None:
     module, other = mlp(3, (5,), 2, generator(1)), mlp(3, (5,), 2, generator(2))
     flat = FlatParameters(module)
     module.load_state_dict(other.state_dict())
@@ -36,7 +36,7 @@ def test_loaded_weights_arrive_in_the_one_piece() -> None:
     assert torch.equal(module(inputs()), other(inputs()))
 
 
-def test_an_optimiser_of_the_one_piece_does_what_one_of_the_parameters_does() -> None:
+def test_an_optimiser_of_the_flat_tensor_equals_one_of_the_parameters() -> None:
     module = mlp(3, (5, 7), 2, generator(), layer_norm=True)
     plain = copy.deepcopy(module)
     flat = FlatParameters(module)
