@@ -169,6 +169,7 @@ class DDPG:
 
     @torch.no_grad()
     def _targets(self, batches: Minibatches, step: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Clipped targets, and whether each was clipped. ``(components, batch)`` each"""
         # Episodes end by time, never by success, so that every transition bootstraps.
         features = batches.next_features[step]
         action = self.policy.action(features, self._networks.target_actor)
@@ -177,17 +178,6 @@ class DDPG:
         unclipped = batches.reward[step] + self.config.ddpg.gamma * value
         target = unclipped.clamp(self._low, self._high)
         return target, target != unclipped
-
-    def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
-        """Bootstrapped targets of the critics.
-
-        Args:
-            batch: Transitions.
-
-        Returns:
-            Clipped targets, and whether each was clipped. ``(components, batch)`` each
-        """
-        return self._targets(self._minibatches(batch, 1), 0)
 
     @torch.no_grad()
     def _minibatches(self, block: Transitions, count: int) -> Minibatches:

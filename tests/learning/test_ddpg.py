@@ -57,6 +57,11 @@ def with_target_values(learner: DDPG, values: Sequence[Sequence[float]]) -> DDPG
     return learner
 
 
+def targets_of(learner: DDPG, data: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
+    """Targets of a batch, and whether each was clipped. ``(components, batch)`` each"""
+    return learner._targets(learner._minibatches(data, 1), 0)
+
+
 def weights(learner: DDPG, name: str) -> torch.Tensor:
     state = learner.policy.snapshot() if name == "actor" else learner.state_dict()
     return torch.cat([tensor.flatten() for tensor in state[name].values()])
@@ -81,7 +86,7 @@ def test_targets_are_reward_plus_discounted_value_clipped_to_possible_returns(
     assert target_bounds(learner.config) == [pytest.approx(bounds)]
     data = batch()
     raw = data.extrinsic + data.intrinsic + 0.9 * value  # rewards of 0 bootstrap as well
-    targets, clipped = with_target_values(learner, [[value]]).targets(data)
+    targets, clipped = targets_of(with_target_values(learner, [[value]]), data)
     torch.testing.assert_close(targets, raw.clamp(*bounds)[None])
     outside = (raw < bounds[0]) | (raw > bounds[1])
     assert torch.equal(clipped, outside[None])
@@ -91,18 +96,18 @@ def test_targets_are_reward_plus_discounted_value_clipped_to_possible_returns(
 
 def test_targets_depend_on_the_next_observation_and_the_target_networks_only() -> None:
     learner, data = ddpg(clip_target="off"), batch()
-    before, _ = learner.targets(data)
+    before, _ = targets_of(learner, data)
     for field in ("observation", "action"):
         changed = replace(data, **{field: torch.zeros_like(getattr(data, field))})
-        assert torch.equal(learner.targets(changed)[0], before), field
+        assert torch.equal(targets_of(learner, changed)[0], before), field
     for field in ("next_observation", "goal", "extrinsic", "intrinsic"):
         changed = replace(data, **{field: getattr(data, field) + 1})
-        assert not torch.allclose(learner.targets(changed)[0], before), field
+        assert not torch.allclose(targets_of(learner, changed)[0], before), field
     flipped = replace(data, source=1 - data.source)
-    assert not torch.allclose(learner.targets(flipped)[0], before)
+    assert not torch.allclose(targets_of(learner, flipped)[0], before)
     for _ in range(3):
         learner.update(data)  # moves the online networks only
-    assert torch.equal(learner.targets(data)[0], before)
+    assert torch.equal(targets_of(learner, data)[0], before)
 
 
 @pytest.mark.parametrize("tau", [0.05, 0.5, 1.0])
@@ -169,7 +174,7 @@ def test_updates_lower_the_critics_loss_on_a_fixed_batch() -> None:
     features = learner.policy.features(data.observation, data.goal, data.source)
     value = learner.critics(features, data.action)
     assert value.shape == (1, 1, len(data.source))
-    expected = (value[:, 0] - learner.targets(data)[0]).square().mean().detach()
+    expected = (value[:, 0] - targets_of(learner, data)[0]).square().mean().detach()
     assert float(learner.update(data)["critic_loss"]) == pytest.approx(float(expected), rel=1e-5)
 
 
@@ -178,7 +183,7 @@ def test_the_critics_depend_on_the_source_only_if_it_is_an_input() -> None:
     flipped = replace(data, source=1 - data.source)
     for is_input in (True, False):
         learner = ddpg(source_input=is_input, clip_target="off")
-        same = torch.equal(learner.targets(data)[0], learner.targets(flipped)[0])
+        same = torch.equal(targets_of(learner, data)[0], targets_of(learner, flipped)[0])
         assert same is not is_input
 
 
@@ -191,7 +196,7 @@ def test_targets_bootstrap_from_the_minimum_of_the_drawn_critics(subset: int) ->
     values, data = [-3.0, 1.0, -7.0], batch()
     with_target_values(learner, [values])
     reward = data.extrinsic + data.intrinsic
-    least = torch.stack([2.0 * (learner.targets(data)[0][0] - reward) for _ in range(300)])
+    least = torch.stack([2.0 * (targets_of(learner, data)[0][0] - reward) for _ in range(300)])
     assert (least.std(dim=1) < 1e-5).all()  # one subset a batch
     counts = Counter(round(value, 3) for value in least[:, 0].tolist())
     subsets = [min(each) for each in itertools.combinations(values, subset)]
@@ -205,7 +210,7 @@ def test_every_critic_is_trained_towards_the_same_targets() -> None:
     for _ in range(300):
         learner.update(data)
     with_target_values(learner, [[-2.0] * 3])  # so that every subset has the same least
-    targets, _ = learner.targets(data)
+    targets, _ = targets_of(learner, data)
     features = learner.policy.features(data.observation, data.goal, data.source)
     before = (learner.critics(features, data.action) - targets).square().mean(-1)
     for _ in range(100):
@@ -249,7 +254,7 @@ def test_each_component_has_targets_from_its_reward_and_bounds(
     settings: Settings = {"gamma": 0.9, "clip_target": clip_target, "intrinsic_clip": 0.6}
     learner = ddpg(component_critics=True, **settings)
     data = batch()
-    targets, clipped = with_target_values(learner, [[value] for value in values]).targets(data)
+    targets, clipped = targets_of(with_target_values(learner, [[value] for value in values]), data)
     assert targets.shape == clipped.shape == (2, len(data.source))
     for index, reward in enumerate((data.extrinsic, data.intrinsic)):
         low, high = target_bounds(learner.config)[index]
