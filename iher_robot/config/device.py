@@ -6,13 +6,13 @@ import torch
 
 from iher_robot.config.run import RunConfig
 from iher_robot.errors import UserError
-from iher_robot.learning.networks.precision import set_float32_products
+from iher_robot.learning.networks.precision import set_float32_precision
 
 
 def prepare_torch(config: RunConfig) -> None:
     """Set what torch keeps for a whole process."""
     torch.set_num_threads(config.threads)
-    set_float32_products(config.learner.matmul_precision, pick_device(config.device))
+    set_float32_precision(config.learner.matmul_precision, pick_device(config.device))
 
 
 def pick_device(name: str) -> torch.device:

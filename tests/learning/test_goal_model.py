@@ -1,4 +1,4 @@
-"""The encoding of a transition's source, and when an episode counts as one that moved its goal."""
+"""Encoding of a transition's source, and when an episode counts as one that moved its goal."""
 
 from __future__ import annotations
 
