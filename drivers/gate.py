@@ -12,8 +12,7 @@ from drivers.command import Acceptance, Command, Refusal
 from drivers.errors import FaultLatched, LifecycleError
 from drivers.spec import RobotSpec
 from drivers.state import RobotState
-
-_REMEMBERED_STATES = 64
+from drivers.state_ages import StateAges
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class CommandGate:
         self._lock = threading.Lock()
         self._armed = False
         self._fault: Fault | None = None
-        self._stamps: dict[int, int] = {}
+        self._ages = StateAges(clock)
         self._refusals: Counter[Refusal] = Counter()
 
     @property
@@ -116,13 +115,11 @@ class CommandGate:
 
     def remember(self, state: RobotState) -> None:
         """Note a state that was read, so that commands may answer it."""
-        self._stamps[state.seq] = state.stamp_ns
-        if len(self._stamps) > _REMEMBERED_STATES:
-            del self._stamps[next(iter(self._stamps))]
+        self._ages.add(state.seq, state.stamp_ns)
 
     def forget_states(self) -> None:
         """Make every state so far unanswerable."""
-        self._stamps.clear()
+        self._ages.clear()
 
     def judge(self, command: Command) -> Acceptance:
         """Say whether a command may pass, and count it if not.
@@ -154,14 +151,14 @@ class CommandGate:
             return Acceptance(Refusal.LATCHED, f"stopped by {fault.name!r} ({fault.reason})")
         if not self._armed:
             return Acceptance(Refusal.DISARMED, "the command gate is closed; arm first")
-        stamp_ns = self._stamps.get(command.answers)
-        if stamp_ns is None:
-            newest = next(reversed(self._stamps), None)
+        age_ns = self._ages.age_ns(command.answers)
+        if age_ns is None:
             return Acceptance(
                 Refusal.UNKNOWN_STATE,
-                f"answers state {command.answers}, newest read since the reset: {newest}",
+                f"answers state {command.answers}, newest read since the reset: "
+                f"{self._ages.newest}",
             )
-        age_s = (self._clock.now_ns() - stamp_ns) / 1e9
+        age_s = age_ns / 1e9
         limit_s = self._spec.limits.watchdog_s
         if age_s > limit_s:
             return Acceptance(

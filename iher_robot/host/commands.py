@@ -11,11 +11,11 @@ import numpy as np
 from drivers.clock import Clock
 from drivers.errors import DriverError, InvalidCommand
 from drivers.remote.messages import CommandMessage, unpack_command
+from drivers.state_ages import StateAges
 from drivers.wire import WireError
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.served_robot import ServedRobot
 
-_REMEMBERED = 64
 _TIMED_COMMANDS = 1500
 
 
@@ -32,7 +32,7 @@ class CommandHandler:
         boot: str,
         robot: ServedRobot,
         lease: HostLease,
-        deadman: Deadman,
+        deadman: SilenceTimer,
         clock: Clock,
         age_ticks: float,
     ) -> None:
@@ -52,7 +52,7 @@ class CommandHandler:
         self._deadman = deadman
         self._clock = clock
         self._age_ticks = age_ticks
-        self._published: dict[int, int] = {}
+        self._published = StateAges(clock)
         self._answered_ms: deque[float] = deque(maxlen=_TIMED_COMMANDS)
         self._refused: Counter[str] = Counter()
         self._counting = threading.Lock()
@@ -75,9 +75,7 @@ class CommandHandler:
 
     def published(self, seq: int) -> None:
         """Note that a state was published now, so that commands may answer it."""
-        self._published[seq] = self._clock.now_ns()
-        if len(self._published) > _REMEMBERED:
-            del self._published[next(iter(self._published))]
+        self._published.add(seq, self._clock.now_ns())
 
     def forget(self) -> None:
         """Make every state so far unanswerable, as after a reset."""
@@ -104,15 +102,14 @@ class CommandHandler:
             self.refuse(reason)
             return
         self._lease.n = message.n
-        self._lease.heard()
-        self._deadman.heard()
+        self._lease.renew()
+        self._deadman.restart()
         if message.kind == "hold":
             return
-        published_ns = self._published.get(message.answers)
-        if published_ns is None:
+        age_ns = self._published.age_ns(message.answers)
+        if age_ns is None:
             self.refuse("expired")
             return
-        age_ns = self._clock.now_ns() - published_ns
         self._answered_ms.append(age_ns / 1e6)
         if age_ns > self._age_ticks * self._robot.spec.control_period_ns:
             self.refuse("expired")

@@ -19,7 +19,7 @@ from drivers.remote.state_message import HostInfo, pack_state
 from drivers.wire import WireError, unpack
 from iher_robot.host.commands import CommandHandler
 from iher_robot.host.heartbeat import Heartbeat
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.network.channels import Channel, Note
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.requests import RequestDesk
@@ -81,7 +81,7 @@ class ControlLoop:
         self._clock = clock
         self._tick_log = tick_log
         self._lease = HostLease(settings.name, settings.lease_s, clock)
-        self._deadman = Deadman(settings.deadman_s, clock)
+        self._deadman = SilenceTimer(settings.deadman_s, clock)
         self._desk = CommandHandler(
             self.boot, robot, self._lease, self._deadman, clock, settings.command_age_ticks
         )
@@ -210,7 +210,7 @@ class ControlLoop:
 
     def _enforce_timeouts(self) -> None:
         armed = self._robot.driver.is_armed
-        if armed and self._deadman.tripped:
+        if armed and self._deadman.expired:
             self._requests.disarm(f"no command for {self._deadman.limit_s:g} s")
         if self._lease.expire():
             self._requests.disarm("the client that had the robot has fallen silent")

@@ -23,7 +23,7 @@ from drivers.remote.messages import (
 from drivers.wire import WireError, pack, unpack
 from iher_robot.errors import UserError
 from iher_robot.host.commands import CommandHandler
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.persistence import RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.version import __version__
@@ -58,7 +58,7 @@ class RequestDesk:
         robot: ServedRobot,
         lease: HostLease,
         desk: CommandHandler,
-        deadman: Deadman,
+        deadman: SilenceTimer,
         total: RobotTotal,
         fixed_scene: str | None,
         status: Callable[[], Result],
@@ -169,7 +169,7 @@ class RequestDesk:
                 self._slow()
                 self._robot.use(scene)
                 self._desk.forget()
-                self._lease.heard()  # loading took its time
+                self._lease.renew()  # loading took its time
             return {"token": token, "ttl_s": self._lease.ttl_s}
         self._lease.require(request.token)
         if request.op == "release":
@@ -185,7 +185,7 @@ class RequestDesk:
         self._total.begin("motion")  # what cannot be counted does not move
         driver.arm()
         self.disarmed_because = ""
-        self._deadman.heard()
+        self._deadman.restart()
         return {}
 
     def _disarm(self, body: bytes) -> Result:
@@ -210,7 +210,7 @@ class RequestDesk:
                 result = self._robot.reset(ResetRequest(places, request.seed))
             finally:  # one that failed may have moved, too
                 self._desk.forget()
-                self._lease.heard()
+                self._lease.renew()
                 after = self._robot.state()
                 entry.settle(-(-(after.stamp_ns - before) // period_ns))
         self.published(after.seq)

@@ -13,7 +13,7 @@ from drivers import EndEffectorCommand, SimulatedClock
 from drivers.remote.messages import command_fields
 from drivers.wire import pack
 from iher_robot.host.commands import CommandHandler
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
@@ -29,7 +29,7 @@ class Bench:
         self.robot = ServedRobot(lambda _: FakeRobot(), "push", RobotMemory(folder), (), self.clock)
         self.robot.open()
         self.lease = HostLease("fake", 2.0, self.clock)
-        self.deadman = Deadman(0.2, self.clock)
+        self.deadman = SilenceTimer(0.2, self.clock)
         self.desk = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
         self.token = self.lease.acquire("session", "a test")
         self.robot.driver.arm()
@@ -129,7 +129,7 @@ def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
     content = {"v": 1, "kind": "hold", "boot": "boot", "token": bench.token, "n": 1, "answers": 0}
     bench.desk.take(pack(content))
     bench.clock.advance_ns(150_000_000)
-    assert not bench.deadman.tripped
+    assert not bench.deadman.expired
     assert not bench.applied()
     assert bench.lease.n == 1
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers import LeaseRefused, SimulatedClock
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 
 
 @pytest.fixture
@@ -60,10 +60,10 @@ def test_no_lease_is_not_a_lease_with_the_token_0(lease: HostLease) -> None:
 
 
 def test_the_deadman_trips_past_its_limit(clock: SimulatedClock) -> None:
-    deadman = Deadman(0.2, clock)
+    deadman = SilenceTimer(0.2, clock)
     clock.advance_ns(200_000_000)
-    assert not deadman.tripped
+    assert not deadman.expired
     clock.advance_ns(1)
-    assert deadman.tripped
-    deadman.heard()
-    assert not deadman.tripped
+    assert deadman.expired
+    deadman.restart()
+    assert not deadman.expired

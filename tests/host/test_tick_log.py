@@ -51,7 +51,7 @@ class Bench:
 
     def arm(self) -> None:
         self.loop._lease.acquire("session", "a test")
-        self.loop._deadman.heard()
+        self.loop._deadman.restart()
         self.robot.arm()
 
 
@@ -97,7 +97,7 @@ def test_a_line_says_what_was_in_force_in_that_very_tick(bench: Bench, tmp_path:
 def test_no_armed_tick_is_missing_from_the_robots_own_account(bench: Bench, tmp_path: Path) -> None:
     bench.arm()
     for _ in range(7):
-        bench.loop._deadman.heard()
+        bench.loop._deadman.restart()
         bench.loop.tick()
     bench.log.close()
     assert sum(line["armed"] for line in _lines(tmp_path / "ticks.jsonl")) == 7

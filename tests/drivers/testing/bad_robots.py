@@ -126,8 +126,8 @@ class RefusesWithoutCounting(FakeRobot):
 
 class NeverExpires(FakeRobot):
     def command(self, command: Command) -> Acceptance:
-        if command.answers in self._gate._stamps:
-            self._gate._stamps[command.answers] = self.clock.now_ns()
+        if self._gate._ages.age_ns(command.answers) is not None:
+            self._gate._ages.add(command.answers, self.clock.now_ns())
         return super().command(command)
 
 
