@@ -30,14 +30,14 @@ class Bench:
         self.robot.open()
         self.lease = HostLease("fake", 2.0, self.clock)
         self.deadman = SilenceTimer(0.2, self.clock)
-        self.desk = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
+        self.handler = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
         self.token = self.lease.acquire("session", "a test")
         self.robot.driver.arm()
         self.publish()
 
     def publish(self) -> int:
         seq = self.robot.state().seq
-        self.desk.published(seq)
+        self.handler.published(seq)
         return seq
 
     def tick(self) -> int:
@@ -49,7 +49,7 @@ class Bench:
         command = EndEffectorCommand(0, np.array([0.001, 0.0, 0.0]), np.zeros(2))
         content = {"v": 1, "boot": "boot", "token": self.token, "n": self.lease.n + 1}
         seq = self.robot.state().seq
-        self.desk.take(pack(content | {"answers": seq} | command_fields(command) | changes))
+        self.handler.take(pack(content | {"answers": seq} | command_fields(command) | changes))
 
     def applied(self) -> bool:
         """Whether what was sent is applied in the tick that ends now."""
@@ -70,7 +70,7 @@ def test_a_good_command_is_applied_and_answers_what_the_host_published(bench: Be
     state = bench.robot.state()
     assert state.applied is not None
     assert state.applied.command.answers == seq
-    assert bench.desk.refusals == {}
+    assert bench.handler.refusals == {}
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_what_is_wrong_is_refused_counted_and_not_applied(
     bench: Bench, changes: dict[str, object], reason: str
 ) -> None:
     bench.send(**changes)
-    assert bench.desk.refusals == {reason: 1}
+    assert bench.handler.refusals == {reason: 1}
     assert not bench.applied()
     bench.send()
     assert bench.applied(), "a wrong command is nobody else's harm"
@@ -106,7 +106,7 @@ def test_a_command_is_applied_once(bench: Bench) -> None:
     bench.send(n=5)
     bench.send(n=4)
     assert not bench.applied()
-    assert bench.desk.refusals == {"repeated": 2}
+    assert bench.handler.refusals == {"repeated": 2}
 
 
 def test_a_command_expires_two_ticks_after_the_state_that_it_answers(bench: Bench) -> None:
@@ -120,14 +120,14 @@ def test_a_command_expires_two_ticks_after_the_state_that_it_answers(bench: Benc
     bench.tick()
     bench.clock.advance_ns(1)
     bench.send(answers=seq)
-    assert bench.desk.refusals == {"expired": 1}
+    assert bench.handler.refusals == {"expired": 1}
     assert not bench.applied()
 
 
 def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
     bench.clock.advance_ns(150_000_000)
     content = {"v": 1, "kind": "hold", "boot": "boot", "token": bench.token, "n": 1, "answers": 0}
-    bench.desk.take(pack(content))
+    bench.handler.take(pack(content))
     bench.clock.advance_ns(150_000_000)
     assert not bench.deadman.expired
     assert not bench.applied()
@@ -160,7 +160,7 @@ def test_nothing_that_is_no_command_gets_through_or_raises(bench: Bench, data: o
         body = data if isinstance(data, bytes) else msgpack.packb(data)
     except (OverflowError, ValueError):
         return
-    before = sum(bench.desk.refusals.values())
-    bench.desk.take(body)
-    assert sum(bench.desk.refusals.values()) == before + 1
+    before = sum(bench.handler.refusals.values())
+    bench.handler.take(body)
+    assert sum(bench.handler.refusals.values()) == before + 1
     assert not bench.applied()

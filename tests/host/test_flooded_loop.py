@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.network.channels import Note
+from iher_robot.host.network.channels import ChannelMessage
 from iher_robot.host.persistence import RobotTotal
 from tests.host.test_timing import Bench
 
@@ -23,9 +23,9 @@ def loop(tmp_path: Path) -> ControlLoop:
 
 def test_a_tick_ends_whatever_waits(loop: ControlLoop) -> None:
     for _ in range(FLOOD):
-        loop._inbox.put(Note("command", body=b"no command"))
-    loop._take_until(0)
-    dealt_with = loop._desk.refusals["malformed"]
+        loop._inbox.put(ChannelMessage("command", body=b"no command"))
+    loop._handle_until(0)
+    dealt_with = loop._commands.refusals["malformed"]
     assert 0 < dealt_with <= FEW, "what waits at the end of a tick does not put it off"
-    loop._take_until(0)
-    assert loop._desk.refusals["malformed"] == 2 * dealt_with, "and is dealt with later"
+    loop._handle_until(0)
+    assert loop._commands.refusals["malformed"] == 2 * dealt_with, "and is dealt with later"

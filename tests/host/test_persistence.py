@@ -13,18 +13,18 @@ from iher_robot.host.persistence import RobotMemory, RobotTotal
 
 
 def test_a_fault_is_remembered_until_it_is_cleared(tmp_path: Path) -> None:
-    RobotMemory(tmp_path).keep(lambda: Fault("emergency_stop", "someone walked in", 5))
+    RobotMemory(tmp_path).save_fault(lambda: Fault("emergency_stop", "someone walked in", 5))
     remembered = RobotMemory(tmp_path).fault
     assert remembered is not None
     assert (remembered.name, remembered.reason) == ("emergency_stop", "someone walked in")
-    RobotMemory(tmp_path).keep(lambda: None)
+    RobotMemory(tmp_path).save_fault(lambda: None)
     assert RobotMemory(tmp_path).fault is None
 
 
 def test_the_tick_counter_never_goes_back(tmp_path: Path) -> None:
     memory = RobotMemory(tmp_path)
     for tick in (1, 2, 99_999, 100_000, 250_000):
-        memory.count(tick)
+        memory.reserve_ticks(tick)
         assert RobotMemory(tmp_path).ticks > tick, "a ceiling is written before it is reached"
 
 
@@ -39,10 +39,10 @@ def test_a_damaged_memory_is_no_robot_without_faults(tmp_path: Path, text: str) 
 
 def test_ticks_are_counted_over_restarts(tmp_path: Path) -> None:
     with RobotTotal(tmp_path, "fetch") as total:
-        total.begin("motion")
+        total.reserve("motion")
         for _ in range(620):
             total.tick("motion")
-        with total.longest("reset", 3000) as entry:
+        with total.reserve_at_most("reset", 3000) as entry:
             entry.settle(7)
         assert (total.spent()["motion"], total.spent()["reset"]) == (620, 7)
     with RobotTotal(tmp_path, "fetch") as total:
@@ -56,7 +56,7 @@ def crash(total: RobotTotal) -> None:
 
 def test_a_crash_of_the_host_counts_what_had_begun(tmp_path: Path) -> None:
     total = RobotTotal(tmp_path, "fetch")
-    total.begin("motion")
+    total.reserve("motion")
     for _ in range(60):
         total.tick("motion")
     crash(total)
@@ -76,7 +76,7 @@ def test_a_crash_of_the_machine_counts_too_much_and_never_too_little(tmp_path: P
 
 def test_a_crash_in_a_reset_counts_the_longest_one(tmp_path: Path) -> None:
     total = RobotTotal(tmp_path, "fetch")
-    with pytest.raises(KeyboardInterrupt), total.longest("reset", 3000):
+    with pytest.raises(KeyboardInterrupt), total.reserve_at_most("reset", 3000):
         raise KeyboardInterrupt
     assert total.spent()["reset"] == 3000
     crash(total)
@@ -96,7 +96,7 @@ def test_a_stop_may_be_written_while_the_loop_writes(tmp_path: Path) -> None:
         try:
             for index in range(50):
                 fault = Fault("f", f"{threading.get_ident()} {index}", 0)
-                memory.keep(lambda fault=fault: fault)  # type: ignore[misc]
+                memory.save_fault(lambda fault=fault: fault)  # type: ignore[misc]
         except UserError as error:
             problems.append(error)
 

@@ -194,7 +194,7 @@ def test_a_stale_lease_expires_and_its_token_is_refused(served: ServedRobot) -> 
         ):
             with pytest.raises(LeaseRefused):
                 ask(name, message)
-        with pytest.raises(LinkLost, match="started anew"):
+        with pytest.raises(LinkLost, match="restarted"):
             ask("arm", ArmRequest(boot="an earlier start", token=observer.newest[1].token))
         assert not observer.newest[1].armed
         driver.close()

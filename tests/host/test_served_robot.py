@@ -39,7 +39,7 @@ def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path:
     robot = ServedRobot(lambda _: drivers.pop(0), "push", memory, (), SimulatedClock())
     robot._specs["slide"] = robot.spec
     robot.open()
-    changing = threading.Thread(target=robot.use, args=("slide",))
+    changing = threading.Thread(target=robot.change_scene, args=("slide",))
     changing.start()
     assert first.closing.wait(10.0)
     stopping = threading.Thread(target=robot.stop, args=("someone walked in", "emergency_stop"))
@@ -67,8 +67,10 @@ def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) 
         linvel=np.zeros(3),
         angvel=np.zeros(3),
     )
-    with pytest.raises(InvalidRequest, match="not asked for"):
-        robot.see("object0", pose)
+    with pytest.raises(
+        InvalidRequest, match="'object0', which is not one of perception, allowed: none"
+    ):
+        robot.take_pose("object0", pose)
 
 
 class Helpless(FakeRobot):
@@ -96,4 +98,4 @@ def test_a_restart_of_the_host_does_not_forget_that_a_person_is_in_reach(tmp_pat
             robot.driver.confirm_hands_clear()
             assert robot.reset(ResetRequest()).outcome is ResetOutcome.DONE
         robot.close()
-    assert not RobotMemory(tmp_path).human
+    assert not RobotMemory(tmp_path).human_needed

@@ -67,6 +67,6 @@ def test_a_frozen_loop_is_killed_held_and_latched_whatever_the_holder_does(
 def test_a_robot_whose_process_died_is_held_from_outside(tmp_path: Path) -> None:
     holder = _Holder(fails=False)
     host = _host(tmp_path, holder, _Process(alive=False))
-    with pytest.raises(HostFailed, match="ended by itself with exit code -9"):
+    with pytest.raises(HostFailed, match="the robot process of 'fetch' ended with exit code -9"):
         host.watch()
     assert holder.calls == 1

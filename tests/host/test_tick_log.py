@@ -42,7 +42,7 @@ class Bench:
         channel = Channel(self.ends[1])
         self.loop = ControlLoop(settings, served, total, memory, channel, heartbeat, clock, log)
         served.open()
-        self.loop._next_ns = clock.now_ns()
+        self.loop._schedule.start()
 
     def command(self) -> None:
         """Take a command, as if a client had sent it."""
@@ -136,7 +136,7 @@ class _Stuck:
 def test_a_disk_that_does_not_answer_keeps_no_tick_waiting(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("iher_robot.host.tick_log._WAITING_LINES", 3)
+    monkeypatch.setattr("iher_robot.host.tick_log._MAX_WAITING_LINES", 3)
     disk: Any = _Stuck()
     bench.log._file = disk
     for _ in range(10):

@@ -86,7 +86,7 @@ def test_the_examples_are_read_back(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_and_nothing_half_made(tmp_path: Path) -> None:
     (tmp_path / "viewer").mkdir()
     (tmp_path / "viewer/key.pem").write_text("mine")
-    with pytest.raises(UserError, match=r"viewer/key\.pem is there already"):
+    with pytest.raises(UserError, match=r"viewer/key\.pem exists and is not overwritten"):
         make_certificates(tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["key.pem"]
     assert (tmp_path / "viewer/key.pem").read_text() == "mine"

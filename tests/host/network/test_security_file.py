@@ -64,7 +64,7 @@ def test_a_tls_endpoint_needs_certificates(users: HostSecurity, tls: HostSecurit
 
 
 def test_a_tcp_endpoint_needs_users_where_names_are_asked_for(tls: HostSecurity) -> None:
-    with pytest.raises(UserError, match="nobody shows a certificate; listen on tls/127"):
+    with pytest.raises(UserError, match="clients have no certificate; listen on tls/127"):
         gateway_config("fetch", ["tcp/127.0.0.1:1"], tls, insecure=False)
 
 
@@ -90,8 +90,8 @@ def test_no_file_is_no_security() -> None:
     [
         ("", "give tls, users or both"),
         ("roles: {operator: [anna]}", "give tls, users or both"),
-        ("users: users", "nobody has a role"),
-        ("users: users\nroles: {operator: []}", "nobody has a role"),
+        ("users: users", "no client has a role"),
+        ("users: users\nroles: {operator: []}", "no client has a role"),
         ("users: users\nroles: {operator: ['']}", "roles.operator has an empty name"),
         ("users: users\nroles: {operators: [anna]}", "did you mean 'roles.operator'"),
         ("user: users", "did you mean 'users'"),
@@ -117,9 +117,9 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path, content: str, senten
         ("anna\n", "line 1: allowed: user:password"),
         ("\nanna:\n", "line 2: allowed: user:password"),
         (":secret\n", "line 1: allowed: user:password"),
-        ("anna:a\nanna:b\n", "line 2: 'anna' is there twice"),
+        ("anna:a\nanna:b\n", "line 2: 'anna' appears twice"),
         ("\n", "is empty"),
-        (b"\xff:\xff\n", "no UTF-8"),
+        (b"\xff:\xff\n", "not UTF-8"),
     ],
 )
 def test_a_file_of_users_is_checked_and_not_shown(
