@@ -1,4 +1,4 @@
-"""Decides which commands may pass to a robot."""
+"""The command gate: armed or not, the latched fault, and the age of the states answered."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Fault:
     """A latched fault.
 
     Attributes:
-        name: What clears it.
-        reason: What happened, in words.
-        stamp_ns: When it latched, on the robot's clock.
+        name: Name by which it is cleared.
+        reason: What happened, for people.
+        stamp_ns: When it was latched, on the robot's clock.
     """
 
     name: str
@@ -31,10 +31,10 @@ class Fault:
 
 
 class CommandGate:
-    """Open only while armed, never with a fault, and only to answers to fresh states.
+    """Accepts commands only while armed, without a fault, and in answer to a fresh state.
 
-    Its lock is held for a few instructions, never for a tick, so that a stop from another
-    thread takes effect at once.
+    Its lock is never held for a whole tick, so that a stop from another thread takes effect at
+    once.
     """
 
     def __init__(self, spec: RobotSpec, clock: Clock) -> None:
@@ -48,7 +48,7 @@ class CommandGate:
 
     @property
     def armed(self) -> bool:
-        """Whether commands may pass."""
+        """Whether the gate is open."""
         return self._armed
 
     @property
@@ -77,11 +77,11 @@ class CommandGate:
             self._armed = False
 
     def latch(self, name: str, reason: str) -> None:
-        """Close the gate for good; the first fault is kept.
+        """Close the gate until the fault is cleared. The first fault is kept.
 
         Args:
-            name: What will clear it.
-            reason: What happened, in words.
+            name: Name by which it is cleared.
+            reason: What happened, for people.
         """
         with self._lock:
             self._armed = False
@@ -110,25 +110,22 @@ class CommandGate:
         if self._fault is not None:
             raise FaultLatched(
                 f"{self._spec.name} is stopped by {self._fault.name!r} ({self._fault.reason}); "
-                "an operator clears it by that name"
+                "an operator must clear the fault by that name"
             )
 
     def remember(self, state: RobotState) -> None:
-        """Note a state that was read, so that commands may answer it."""
+        """Record a state that was read; from now on commands may answer it."""
         self._ages.add(state.seq, state.stamp_ns)
 
     def forget_states(self) -> None:
-        """Make every state so far unanswerable."""
+        """Refuse answers to all states read so far."""
         self._ages.clear()
 
     def judge(self, command: Command) -> Acceptance:
-        """Say whether a command may pass, and count it if not.
+        """Accept or refuse a command; refusals are counted.
 
         Args:
-            command: A command that this robot could carry out.
-
-        Returns:
-            Acceptance, or why not.
+            command: A valid command.
         """
         judgement = self._judge(command)
         if judgement.refusal is not None:
@@ -139,8 +136,8 @@ class CommandGate:
         """Refuse a command, and count it.
 
         Args:
-            refusal: Why.
-            message: The same in words, with values.
+            refusal: The reason.
+            message: The reason with values, for people.
         """
         self._refusals[refusal] += 1
         return Acceptance(refusal, message)
