@@ -156,7 +156,7 @@ def check(model: type[Model], content: Mapping[str, object]) -> Model:
     try:
         return model.model_validate(content)
     except (ValidationError, RecursionError) as error:
-        raise WireError("malformed", f"invalid {model.__name__}: {_first(error)}") from None
+        raise WireError("malformed", f"no {model.__name__}: {_first(error)}") from None
 
 
 def _first(error: ValidationError | RecursionError) -> str:

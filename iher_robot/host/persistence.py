@@ -109,7 +109,7 @@ class RobotTotal(Closing):
             self._ledger = Ledger(folder / "total.sqlite")
         except FileHeld as error:
             raise UserError(
-                f"robot {name!r} is already served by another process ({folder}); stop that one, "
+                f"robot {name!r} is served by another process already ({folder}); stop that one, "
                 "or serve under another --name"
             ) from error
         self._spent = {account: self._ledger.spent_ticks(account) for account in ACCOUNTS}

@@ -83,7 +83,7 @@ def read_security(path: Path | None) -> HostSecurity | None:
         return None
     content = parse_mapping(read_file(path, _KIND), str(path))
     try:
-        security = HostSecurity.model_validate(_resolve_paths(path, content))
+        security = HostSecurity.model_validate(_beside(path, content))
     except ValidationError as error:
         details = error.errors(include_url=False, include_context=False)
         raise UserError(f"{path}: " + "; ".join(map(_sentence, details))) from None
@@ -135,7 +135,7 @@ def _is_loopback(endpoint: str) -> bool:
         return host == "localhost"
 
 
-def _resolve_paths(path: Path, content: Mapping[object, object]) -> dict[str, object]:
+def _beside(path: Path, content: Mapping[object, object]) -> dict[str, object]:
     folder = path.absolute().parent
     found = {str(key): value for key, value in content.items()}
     if isinstance(found.get("users"), str):

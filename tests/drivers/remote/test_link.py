@@ -63,7 +63,7 @@ def test_a_wrong_option_is_one_sentence(options: dict[str, object], sentence: st
         (b"", "has 0 lines"),
         (b"\n", "allowed: one"),
         (b"first\nsecond\n", "has 2 lines"),
-        (b"\xff", "no UTF-8"),
+        (b"\xff", "not UTF-8"),
     ],
 )
 def test_a_password_is_one_line(tmp_path: Path, content: bytes | None, sentence: str) -> None:
