@@ -1,4 +1,4 @@
-"""Forward kinematics from a description."""
+"""Forward kinematics from a robot's description."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of the commands that arrive reach the robot."""
+"""Commands that reach the robot, and the reasons for which others are refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PERIOD_NS = 40_000_000
 
 
 class Bench:
-    """A desk with a fake robot, opened, leased and armed."""
+    """A command handler with a fake robot, open, leased and armed."""
 
     def __init__(self, folder: Path) -> None:
         self.clock = SimulatedClock(10**9)
@@ -52,7 +52,7 @@ class Bench:
         self.handler.take(pack(content | {"answers": seq} | command_fields(command) | changes))
 
     def applied(self) -> bool:
-        """Whether what was sent is applied in the tick that ends now."""
+        """End the tick; return whether a command was applied in it."""
         seq = self.tick()
         applied = self.robot.state().applied
         return applied is not None and applied.tick == seq
@@ -63,7 +63,7 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_a_good_command_is_applied_and_answers_what_the_host_published(bench: Bench) -> None:
+def test_a_valid_command_is_applied_and_answers_the_published_state(bench: Bench) -> None:
     seq = bench.robot.state().seq
     bench.send()
     assert bench.applied()
@@ -90,14 +90,14 @@ def test_a_good_command_is_applied_and_answers_what_the_host_published(bench: Be
         ({"delta_pos": np.array([np.nan, 0.0, 0.0])}, "invalid"),
     ],
 )
-def test_what_is_wrong_is_refused_counted_and_not_applied(
+def test_an_invalid_command_is_refused_counted_and_not_applied(
     bench: Bench, changes: dict[str, object], reason: str
 ) -> None:
     bench.send(**changes)
     assert bench.handler.refusals == {reason: 1}
     assert not bench.applied()
     bench.send()
-    assert bench.applied(), "a wrong command is nobody else's harm"
+    assert bench.applied(), "an invalid command does not affect a later valid one"
 
 
 def test_a_command_is_applied_once(bench: Bench) -> None:
@@ -124,7 +124,7 @@ def test_a_command_expires_two_ticks_after_the_state_that_it_answers(bench: Benc
     assert not bench.applied()
 
 
-def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
+def test_a_hold_moves_nothing_and_restarts_the_deadman(bench: Bench) -> None:
     bench.clock.advance_ns(150_000_000)
     content = {"v": 1, "kind": "hold", "boot": "boot", "token": bench.token, "n": 1, "answers": 0}
     bench.handler.take(pack(content))
@@ -153,7 +153,7 @@ def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
         ),
     )
 )
-def test_nothing_that_is_no_command_gets_through_or_raises(bench: Bench, data: object) -> None:
+def test_random_messages_are_refused_and_never_raise(bench: Bench, data: object) -> None:
     import msgpack  # type: ignore[import-untyped]
 
     try:

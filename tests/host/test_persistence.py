@@ -1,4 +1,4 @@
-"""What a robot remembers over restarts of its host."""
+"""State of a robot that survives restarts of its host."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_tick_counter_never_goes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "[]", '{"ticks": 3}', '{"ticks": "3", "fault": null}', '{"ticks": 1, "fault": 2}']
 )
-def test_a_damaged_memory_is_no_robot_without_faults(tmp_path: Path, text: str) -> None:
+def test_a_damaged_file_is_an_error_not_a_robot_without_faults(tmp_path: Path, text: str) -> None:
     (tmp_path / "robot.json").write_text(text)
     with pytest.raises(UserError, match=r"robot\.json is damaged"):
         RobotMemory(tmp_path)
@@ -50,11 +50,11 @@ def test_ticks_are_counted_over_restarts(tmp_path: Path) -> None:
 
 
 def crash(total: RobotTotal) -> None:
-    """As when its process dies: nothing is settled."""
+    """End as when its process dies: nothing is settled."""
     total._ledger.close()
 
 
-def test_a_crash_of_the_host_counts_what_had_begun(tmp_path: Path) -> None:
+def test_a_crash_of_the_host_counts_the_ticks_that_had_begun(tmp_path: Path) -> None:
     total = RobotTotal(tmp_path, "fetch")
     total.reserve("motion")
     for _ in range(60):
@@ -64,12 +64,12 @@ def test_a_crash_of_the_host_counts_what_had_begun(tmp_path: Path) -> None:
         assert again.spent()["motion"] == 60
 
 
-def test_a_crash_of_the_machine_counts_too_much_and_never_too_little(tmp_path: Path) -> None:
+def test_a_crash_of_the_machine_never_counts_too_few_ticks(tmp_path: Path) -> None:
     total = RobotTotal(tmp_path, "fetch")
     for _ in range(60):
         total.tick("motion")
     crash(total)
-    (tmp_path / "total.lock").unlink()  # what it says is of another start of the machine
+    (tmp_path / "total.lock").unlink()  # after a restart of the machine it is not valid
     with RobotTotal(tmp_path, "fetch") as again:
         assert 60 <= again.spent()["motion"] <= 600
 

@@ -1,4 +1,4 @@
-"""Which poses of objects a host takes from another publisher."""
+"""Object poses that a host takes from another publisher."""
 
 from __future__ import annotations
 

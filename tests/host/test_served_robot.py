@@ -1,4 +1,4 @@
-"""A stop, a pose and a human's help while the scene of a served robot changes."""
+"""A served robot: a stop while the scene changes, poses, and human help over a restart."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path:
     assert RobotMemory(tmp_path).fault is not None, "and it outlives the host"
 
 
-def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) -> None:
+def test_a_pose_of_an_object_that_is_not_in_the_scene_is_refused(tmp_path: Path) -> None:
     robot = ServedRobot(
         lambda _: FakeRobot(), "push", RobotMemory(tmp_path), ("object0",), SimulatedClock()
     )
@@ -74,7 +74,7 @@ def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) 
 
 
 class Helpless(FakeRobot):
-    """Needs a hand at every reset until it was given one."""
+    """Needs a human at every reset at full speed."""
 
     def _reset(self, request: ResetRequest) -> ResetResult:
         if self.speed_scale == 1.0:
@@ -82,7 +82,7 @@ class Helpless(FakeRobot):
         return super()._reset(request)
 
 
-def test_a_restart_of_the_host_does_not_forget_that_a_person_is_in_reach(tmp_path: Path) -> None:
+def test_a_restart_of_the_host_keeps_that_a_human_was_needed(tmp_path: Path) -> None:
     for attempt in range(2):
         robot = ServedRobot(
             lambda _: Helpless(), "push", RobotMemory(tmp_path), (), SimulatedClock()

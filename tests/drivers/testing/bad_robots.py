@@ -246,7 +246,7 @@ class SharesItsPosition(FakeRobot):
 
 
 class OvershootsItsCommands(FakeRobot):
-    """Says nothing of it, in its velocities neither."""
+    """Moves further than it reports, also in its velocities."""
 
     def _move(self, command: EndEffectorCommand, clipped: tuple[str, ...]) -> None:
         super()._move(command, clipped)

@@ -1,4 +1,4 @@
-"""What a host refuses to listen with."""
+"""Security files and endpoints with which a host refuses to listen."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_tls_endpoint_needs_certificates(users: HostSecurity, tls: HostSecurit
     gateway_config("fetch", ["tls/0.0.0.0:1"], tls, insecure=False)
 
 
-def test_a_tcp_endpoint_needs_users_where_names_are_asked_for(tls: HostSecurity) -> None:
+def test_a_tcp_endpoint_with_roles_needs_users(tls: HostSecurity) -> None:
     with pytest.raises(UserError, match="clients have no certificate; listen on tls/127"):
         gateway_config("fetch", ["tcp/127.0.0.1:1"], tls, insecure=False)
 
@@ -104,7 +104,7 @@ def test_no_file_is_no_security() -> None:
         ("- users", "expected lines of"),
     ],
 )
-def test_what_contradicts_itself_is_refused(tmp_path: Path, content: str, sentence: str) -> None:
+def test_a_contradictory_file_is_refused(tmp_path: Path, content: str, sentence: str) -> None:
     with pytest.raises(UserError) as error:
         _read(tmp_path, content, users="anna:secret\n")
     assert sentence in str(error.value)
@@ -129,7 +129,7 @@ def test_a_file_of_users_is_checked_and_not_shown(
         _read(tmp_path, "users: users\nroles: {operator: [anna]}\n", users)
 
 
-def test_open_passwords_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_readable_passwords_log_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     content = "users: users\nroles: {operator: [anna]}\n"
     with caplog.at_level(logging.WARNING):
         _read(tmp_path, content, "anna:secret\n", mode=0o600)
