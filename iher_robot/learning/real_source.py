@@ -92,6 +92,7 @@ class RealSource:
             return torch.as_tensor(array, device=self.device).unsqueeze(0)
 
         for segment in segments:
+            moved = moved_goal(self.goal_model, segment, self.config.moved_m)
             replay.add(
                 batch_of_one(segment.observations),
                 batch_of_one(segment.actions),

@@ -106,7 +106,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     total = RobotTotal(killed, "fetch")
     for _ in range(20):
         total.tick("motion")
-    RobotMemory(killed).count(7)
+    RobotMemory(killed).reserve_ticks(7)
     copied = folder / "as-killed"
     shutil.copytree(killed, copied)  # while they live: as it would be if they were killed now
     for each in (total, store, ledger):
