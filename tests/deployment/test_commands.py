@@ -263,7 +263,10 @@ def test_a_name_that_no_fault_has_is_refused(run: Run, served: ServedRobot, name
 
 
 @pytest.mark.parametrize("words", [("clear-fault", "x"), ("home", "--yes"), ("doctor",)])
-def test_without_a_host_it_says_how_to_start_one(run: Run, words: tuple[str, ...]) -> None:
+def test_without_a_host_it_says_how_to_start_one(
+    run: Run, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    (tmp_path / "robot.yaml").write_text("connect_timeout_s: 0.5\n")
     outcome = run(*words, "--connect", f"tcp/127.0.0.1:{free_port()}")
     outcome.assert_one_sentence("no host of robot 'fetch' answers", "iher-robot serve")
 

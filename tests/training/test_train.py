@@ -78,6 +78,7 @@ def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(tmp_pa
             "overrides": [
                 "learner.schedule.real_rollouts=2",
                 "learner.schedule.updates_per_step=0.1",
+                "learner.contact.updates_per_step=0.5",
                 "evaluation.every_epochs=1",
             ],
         },
