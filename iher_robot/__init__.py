@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         SimulatedClock,
         make_driver,
     )
+    from iher_robot.config.run import RunConfig, load_config, read_config
     from iher_robot.deployment.deploy import DeployResult, deploy
     from iher_robot.env.goal_env import GoalRobotEnv, make_env
     from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
@@ -90,6 +91,7 @@ __all__ = [
     "RobotDriver",
     "RobotSpec",
     "RobotState",
+    "RunConfig",
     "SimulatedClock",
     "TaskError",
     "TrainResult",
@@ -98,9 +100,11 @@ __all__ = [
     "deploy",
     "evaluate",
     "experiment",
+    "load_config",
     "make_driver",
     "make_env",
     "make_task",
+    "read_config",
     "register_envs",
     "report",
     "resume",
@@ -137,6 +141,7 @@ _NAMES = {
         "SimulatedClock",
         "make_driver",
     ),
+    "iher_robot.config.run": ("RunConfig", "load_config", "read_config"),
     "iher_robot.deployment.deploy": ("DeployResult", "deploy"),
     "iher_robot.env.goal_env": ("GoalRobotEnv", "make_env"),
     "iher_robot.evaluation.evaluate": ("EvaluationResult", "evaluate"),

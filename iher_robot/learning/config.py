@@ -6,7 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+# Nothing here loads torch: settings are read by commands that compute nothing.
 Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+
+MOVED_M = 0.01
+"""Displacement of the achieved goal, m, above which an episode counts as one that moved it."""
 
 
 def _none_if_off(value: object) -> object:
@@ -118,8 +122,8 @@ class ReplayConfig(Section):
     still_weight: float = Field(1.0, gt=0.0, le=1.0)
     """How likely a transition is drawn, against others, whose episode's achieved goal never moved
     by more than ``moved_m``: there hindsight teaches little."""
-    moved_m: float = Field(0.01, gt=0.0)
-    """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
+    moved_m: float = Field(MOVED_M, gt=0.0)
+    """Displacement of the achieved goal, m, above which an episode counts as one that moved it."""
     actions: Literal["applied", "between"] = "applied"
     """Which actions of the robot are learned from: those that were applied; or any between the
     applied and the requested one, which all come to the same where a request was cut down. A cached

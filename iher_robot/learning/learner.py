@@ -14,7 +14,7 @@ from iher_robot.learning.contact.model import ContactModel
 from iher_robot.learning.ddpg import DDPG
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.exploration import Explorer
-from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
+from iher_robot.learning.goal_model import REAL, GoalModel, Shapes, moved_goal
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.intrinsic import refresh_intrinsic
 from iher_robot.learning.imagination.source import ImaginarySource, Progress
@@ -178,6 +178,7 @@ class Learner:
         return segments
 
     def _add(self, segments: Sequence[Episode], replay: EpisodeReplay, epoch: int) -> None:
+        moved_m, still_weight = self.config.replay.moved_m, self.config.replay.still_weight
         for segment in segments:
             replay.add(
                 torch.as_tensor(segment.observations, device=self.device).unsqueeze(0),
@@ -187,13 +188,8 @@ class Learner:
                 requested=torch.as_tensor(segment.requested_actions, device=self.device).unsqueeze(
                     0
                 ),
-                weight=1.0 if self._moved(segment) else self.config.replay.still_weight,
+                weight=1.0 if moved_goal(self.goal_model, segment, moved_m) else still_weight,
             )
-
-    def _moved(self, episode: Episode) -> bool:
-        achieved = self.goal_model.achieved_goal(torch.as_tensor(episode.observations))
-        distance = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
-        return bool(distance > self.config.replay.moved_m)
 
     def learn(self, progress: Progress = silent) -> dict[str, float]:
         """Run the rest of the epoch: models, imagination and policy updates.

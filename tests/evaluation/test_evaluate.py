@@ -15,7 +15,7 @@ from drivers.canonical import digest
 from iher_robot.config.robot import choose_robot
 from iher_robot.env.goal_env import EpisodeAborted, GoalRobotEnv
 from iher_robot.errors import UserError
-from iher_robot.evaluation.compatibility import body_differences, check_fit, load_actor
+from iher_robot.evaluation.compatibility import body_differences, check_fit, load_trained_policy
 from iher_robot.evaluation.evaluate import evaluate, wilson_interval
 from iher_robot.evaluation.policy_file import PolicyFile, save_policy
 from iher_robot.learning.config import LearnerConfig
@@ -74,7 +74,7 @@ def test_another_interface_that_is_accepted_is_run_and_listed(save: Save) -> Non
 
 
 def test_a_physical_robot_takes_no_other_interface_whatever_is_accepted(save: Save) -> None:
-    actor = load_actor(save(**OTHER))
+    actor = load_trained_policy(save(**OTHER))
     with choose_robot("mujoco", ROBOT).make_env("reach") as env:
         check_fit(actor, env, accept_interface=True)
         spec = dataclasses.replace(env.driver.spec, physical=True, hold_on_silence_s=0.1)
@@ -123,7 +123,7 @@ def test_an_episode_that_is_aborted_is_a_failure(
 
 
 def test_another_body_is_named_by_what_differs_and_nothing_else(save: Save) -> None:
-    actor = load_actor(save())
+    actor = load_trained_policy(save())
     with choose_robot("mujoco", ROBOT).make_env("reach") as env:
         env.driver._spec = dataclasses.replace(env.driver.spec, calibration_id="new")
         (warning,) = check_fit(actor, env)

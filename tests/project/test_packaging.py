@@ -85,7 +85,7 @@ HEAVY = {
     "iher_robot.cli.app": {"gymnasium", "mujoco", "numpy", "torch"},
     "iher_robot.host.serve": {"matplotlib", "mujoco", "scipy", "torch"},
     "iher_robot.datasets.api": {"matplotlib", "mujoco", "scipy", "torch"},
-    "iher_robot.datasets.robot_time": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.datasets.spending": {"matplotlib", "mujoco", "scipy", "torch"},
     "iher_robot.experiments.experiment": {"matplotlib", "mujoco", "scipy", "torch"},
     "iher_robot.training.train": {"matplotlib", "mujoco", "scipy", "tensorboard"},
 }

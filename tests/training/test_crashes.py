@@ -21,7 +21,7 @@ from tests.small_runs import metrics, motion_ticks, stored_ticks
 from tests.storage.test_episode_store import make_stored, record
 
 BUDGET_TICKS = 150
-CONFIG = load_config("reach", "paper", "iher", [])
+CONFIG = load_config("reach", preset="paper")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
