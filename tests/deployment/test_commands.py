@@ -28,6 +28,8 @@ from tests.repository import ROOT
 from tests.served.observer import Observer
 from tests.served.served_robot import ServedRobot, eventually, free_port
 
+pytestmark = pytest.mark.real_time
+
 HOME_M = 0.05
 STILL = 5e-3
 
