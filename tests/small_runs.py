@@ -93,4 +93,4 @@ def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
         with original(config) as cell:
             yield dataclasses.replace(cell, simulator=None)
 
-    monkeypatch.setattr(train_module, "open_workcell", without_simulator)
+    monkeypatch.setattr(train_module, "open_training_setup", without_simulator)

@@ -99,9 +99,7 @@ class RealSource:
                 batch_of_one(segment.desired_goal),
                 epoch=epoch,
                 requested=batch_of_one(segment.requested_actions),
-                weight=1.0
-                if moved_goal(self.goal_model, segment, self.config.moved_m)
-                else self.config.still_weight,
+                weight=1.0 if moved else self.config.still_weight,
             )
 
     def sample(self, count: int, replay: EpisodeReplay | None = None) -> Transitions:

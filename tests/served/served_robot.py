@@ -33,6 +33,7 @@ class ServedRobot(Closing):
         endpoint: Where it listens.
         memory: Folder that outlives it.
         output: Lines that it printed.
+        drivers: Clients that were made by `driver`.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class ServedRobot(Closing):
         self.endpoint = f"tcp/127.0.0.1:{free_port() if port is None else port}"
         self.memory = memory
         self.output: list[str] = []
+        self.drivers: list[ZenohDriver] = []
         self._options = options
         self._path = path or os.environ.get("PYTHONPATH", "")
         self._process: subprocess.Popen[str] | None = None
@@ -59,7 +61,8 @@ class ServedRobot(Closing):
     def driver(self, scene: str = "push", **options: object) -> ZenohDriver:
         """Make a client whose timeouts bear a busy machine."""
         settings: dict[str, object] = {"connect": [self.endpoint], "timeout_s": 2.0}
-        return ZenohDriver(link_options(settings | options), scene)
+        self.drivers.append(ZenohDriver(link_options(settings | options), scene))
+        return self.drivers[-1]
 
     def start(self) -> None:
         command = [sys.executable, "-m", "iher_robot", "serve", "--listen", self.endpoint]

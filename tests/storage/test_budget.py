@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,14 +13,13 @@ from iher_robot.datasets.spending import grant, spending_of_run
 from iher_robot.errors import UserError
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training.train import resume
+from tests.conftest import WholeRun
 from tests.small_runs import EPOCH_MINUTES, metrics, motion_ticks, run
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("budget") / "run"
-    run(out, EPOCH_MINUTES)
-    return out
+def finished(tmp_path_factory: pytest.TempPathFactory, whole_run: WholeRun) -> Path:
+    return shutil.copytree(whole_run(EPOCH_MINUTES), tmp_path_factory.mktemp("budget") / "run")
 
 
 def say(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:

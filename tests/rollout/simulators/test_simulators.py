@@ -93,8 +93,9 @@ from iher_robot.env.goal_env import GoalRobotEnv
 original, calls = GoalRobotEnv._run_tick, 0
 def tick(self, action):
     global calls
-    calls += self.np_random_seed == {episode_seed(0, Stream.COLLECTION, 2)}
-    if calls == 10:
+    third = self.np_random_seed == {episode_seed(0, Stream.COLLECTION, 2)}
+    calls += third
+    if third and calls == 10:  # not in an episode that this process may be given afterwards
         {then}
     return original(self, action)
 GoalRobotEnv._run_tick = tick
