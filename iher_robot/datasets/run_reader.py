@@ -14,7 +14,7 @@ from iher_robot.config.run import RunConfig, read_config
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account, read_accounts
 from iher_robot.storage.episode import StoredEpisode, read_episode
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.files.atomic import read_file
 from iher_robot.storage.interface import read_interface
 from iher_robot.storage.provenance import read_provenance

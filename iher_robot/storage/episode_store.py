@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.closing import Closing
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import (
     EpisodeHeader,
@@ -20,96 +16,13 @@ from iher_robot.storage.episode import (
     read_episode,
 )
 from iher_robot.storage.episode_journal import EpisodeIndex, Running
+from iher_robot.storage.episode_reader import INDEX_NAME, EpisodeReader, file_digest
 from iher_robot.storage.files.atomic import TEMPORARY_SUFFIX, read_file, write_atomically
 from iher_robot.storage.files.lock import LockFile
 
 CUT_OFF = "cut off: the program ended in it"
 
-_NAME = re.compile(r"episode-(\d{6,})\.npz")
-_INDEX = "index.sqlite"
 _LOCK = "store.lock"
-
-
-class EpisodeReader(Closing):
-    """A folder of ``episode-000000.npz``, ``episode-000001.npz``, and so on, with its index.
-
-    It is read as it was when it was opened, even while a run writes it.
-
-    Args:
-        directory: The folder.
-
-    Raises:
-        UserError: It is none, an episode is missing, or the index is damaged.
-    """
-
-    def __init__(self, directory: Path) -> None:
-        self.directory = directory
-        self._index = self._open_index()
-        try:
-            self._check_names()
-        except BaseException:
-            self.close()
-            raise
-
-    def __len__(self) -> int:
-        """Number of stored episodes."""
-        return len(self._index.digests)
-
-    def __iter__(self) -> Iterator[StoredEpisode]:
-        """Load all episodes, oldest first."""
-        return (self.load(index) for index in range(len(self)))
-
-    @property
-    def running(self) -> Running | None:
-        """The episode under way when the folder was opened, None if there was none."""
-        return self._index.running
-
-    def path(self, index: int) -> Path:
-        """The file of an episode."""
-        return self.directory / f"episode-{index:06d}.npz"
-
-    def load(self, index: int) -> StoredEpisode:
-        """Read an episode and check that every byte is as it was written.
-
-        Args:
-            index: Place in the store.
-
-        Raises:
-            IndexError: There is no such episode.
-            UserError: The file is missing, truncated, damaged, or another episode's.
-        """
-        if not 0 <= index < len(self):
-            raise IndexError(f"episode {index} of {len(self)}")
-        path = self.path(index)
-        sealed = read_file(path, "episode file")
-        stored = read_episode(path, sealed, index)
-        if _digest(sealed) != self._index.digests[index]:
-            raise UserError(f"{path} is not the file that was stored; put that one back")
-        return stored
-
-    def close(self) -> None:
-        """Release the folder; closing twice does nothing."""
-        self._index.close()
-
-    def _open_index(self) -> EpisodeIndex:
-        if not self.directory.is_dir():
-            raise UserError(f"there is no episode folder at {self.directory}")
-        return EpisodeIndex(self.directory / _INDEX, read_only=True)
-
-    def _check_names(self) -> None:
-        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
-        for index in range(len(self)):
-            if self.path(index).name not in names:
-                raise UserError(f"{self.path(index)} is missing; put it back")
-
-    def _check_newer_names(self) -> None:
-        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
-        # One more may have been sealed just before a crash.
-        if names - {self.path(index).name for index in range(len(self) + 1)}:
-            raise UserError(
-                f"{self.directory / _INDEX} knows {len(self)} episodes, but there are files of "
-                f"{len(names)}; put the newest index back"
-            )
 
 
 class EpisodeStore(EpisodeReader):
@@ -234,9 +147,9 @@ class EpisodeStore(EpisodeReader):
             UserError: The system refuses, such as on a full disk; the store is as before.
         """
         index = len(self)
-        sealed = dataclasses.replace(stored, index=index).pack()
-        write_atomically(self.path(index), lambda file: file.write(sealed))
-        self._index.add(_digest(sealed))
+        archive = dataclasses.replace(stored, index=index).pack()
+        write_atomically(self.path(index), lambda file: file.write(archive))
+        self._index.add(file_digest(archive))
         self._note()
         return index
 
@@ -248,7 +161,7 @@ class EpisodeStore(EpisodeReader):
     def _open_index(self) -> EpisodeIndex:
         for leftover in self.directory.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
-        return EpisodeIndex(self.directory / _INDEX)
+        return EpisodeIndex(self.directory / INDEX_NAME)
 
     def _recover(self) -> int | None:
         self._require_newest()
@@ -258,20 +171,29 @@ class EpisodeStore(EpisodeReader):
             return self.seal(CUT_OFF)
         # It was sealed, and only not indexed; its last tick may have had no room in the journal.
         unknown = UserError(
-            f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index back"
+            f"{self.directory / INDEX_NAME} does not know {beyond.name}; put the newest index back"
         )
         if running is None and self._lock.note:
             raise unknown
-        sealed = read_file(beyond, "episode file")
-        stored = read_episode(beyond, sealed, len(self))
+        archive = read_file(beyond, "episode file")
+        stored = read_episode(beyond, archive, len(self))
         known = running is None  # as a crash of the machine may leave it, and nothing else
         if running is not None:
             known = stored.header == running.header and len(stored.episode) >= len(running.ticks)
         if not known:
             raise unknown
-        self._index.add(_digest(sealed))
+        self._index.add(file_digest(archive))
         self._note()
         return stored.index
+
+    def _check_newer_names(self) -> None:
+        names = self._file_names()
+        # One more may have been sealed just before a crash.
+        if names - {self.path(index).name for index in range(len(self) + 1)}:
+            raise UserError(
+                f"{self.directory / INDEX_NAME} knows {len(self)} episodes, but there are files of "
+                f"{len(names)}; put the newest index back"
+            )
 
     def _require_newest(self) -> None:
         """Check that the index still has all that its last writer had noted."""
@@ -279,14 +201,10 @@ class EpisodeStore(EpisodeReader):
         found = 0 if self.running is None else len(self.running.ticks)
         if (len(self), found) < (episodes, ticks):
             raise UserError(
-                f"{self.directory / _INDEX} lost a part: it had {episodes} episodes and {ticks} "
-                f"ticks of another, and has {len(self)} and {found}; it or its -wal file is "
-                "damaged or too old, put the newest ones back"
+                f"{self.directory / INDEX_NAME} lost a part: it had {episodes} episodes and "
+                f"{ticks} ticks of another, and has {len(self)} and {found}; it or its -wal file "
+                "is damaged or too old, put the newest ones back"
             )
 
     def _note(self) -> None:
         self._lock.write(at=(len(self), 0 if self.running is None else len(self.running.ticks)))
-
-
-def _digest(sealed: bytes) -> str:
-    return hashlib.sha256(sealed).hexdigest()

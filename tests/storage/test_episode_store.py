@@ -19,7 +19,8 @@ from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.episode import RecordedTick, StoredEpisode
 from iher_robot.storage.episode_journal import EpisodeIndex
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.files.checksum import add_zip_checksum
 from iher_robot.storage.files.lock import FileHeld
 from iher_robot.storage.files.sqlite import Database

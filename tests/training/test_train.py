@@ -25,7 +25,7 @@ from iher_robot.evaluation.policy_file import load_policy
 from iher_robot.evaluation.success_rate import Evaluation
 from iher_robot.rollout.episode import Recorder
 from iher_robot.storage.checkpoint import load_checkpoint
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.train import resume, train

@@ -26,7 +26,7 @@ from iher_robot.evaluation.policy_file import PolicyFile, save_policy
 from iher_robot.learning.policy import Policy
 from iher_robot.rollout.episode import Recorder, run_episode
 from iher_robot.rollout.robot import RobotEpisodes
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import loop as loop_module
 from iher_robot.training.display import TrainingDisplay
