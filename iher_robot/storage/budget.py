@@ -1,4 +1,4 @@
-"""Control ticks of motion that a run may spend."""
+"""Budget of motion ticks."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from iher_robot.storage.robot_time import RobotTime
 
 
 class BudgetError(Exception):
-    """More ticks were asked for than the budget still has."""
+    """The budget has fewer ticks than requested."""
 
 
 class Budget:
-    """Control ticks of motion that a run may spend, over all its interruptions.
+    """Control ticks of motion that a run may spend, resumptions included.
 
     Args:
-        ledger: Holds what was spent, and what was granted since the run began.
-        first_ticks: Ticks of motion that the run began with, see ``budget_ticks``.
+        ledger: Ticks spent, and ticks granted since the run began.
+        first_ticks: Budget that the run began with, see ``budget_ticks``.
     """
 
     def __init__(self, ledger: Ledger, first_ticks: int) -> None:
@@ -49,7 +49,7 @@ class Budget:
         """
         remaining = self.remaining_ticks
         if ticks > remaining:
-            raise BudgetError(f"{ticks} ticks asked for, {remaining} remain in the budget")
+            raise BudgetError(f"{ticks} ticks requested, {remaining} remain in the budget")
         with self.ledger.reserve("motion", ticks, counted=counted) as entry:
             yield entry
 

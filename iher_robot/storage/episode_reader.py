@@ -1,4 +1,4 @@
-"""Read the episodes of a folder, even while a run writes it."""
+"""Reader of an episode folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from drivers.closing import Closing
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import StoredEpisode, read_episode
-from iher_robot.storage.episode_journal import EpisodeIndex, Running
+from iher_robot.storage.episode_journal import EpisodeIndex, RunningEpisode
 from iher_robot.storage.files.atomic import read_file
 
 INDEX_NAME = "index.sqlite"
@@ -21,13 +21,13 @@ _NAME = re.compile(r"episode-(\d{6,})\.npz")
 class EpisodeReader(Closing):
     """A folder of ``episode-000000.npz``, ``episode-000001.npz``, and so on, with its index.
 
-    It is read as it was when it was opened, even while a run writes it.
+    Shows the folder as it was when it was opened, even while a run writes it.
 
     Args:
         directory: The folder.
 
     Raises:
-        UserError: It is none, an episode is missing, or the index is damaged.
+        UserError: There is no such folder, an episode is missing, or the index is damaged.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -48,8 +48,8 @@ class EpisodeReader(Closing):
         return (self.load(index) for index in range(len(self)))
 
     @property
-    def running(self) -> Running | None:
-        """The episode under way when the folder was opened, None if there was none."""
+    def running(self) -> RunningEpisode | None:
+        """The episode that was being recorded when the folder was opened, or None."""
         return self._index.running
 
     def path(self, index: int) -> Path:
@@ -57,14 +57,14 @@ class EpisodeReader(Closing):
         return self.directory / f"episode-{index:06d}.npz"
 
     def load(self, index: int) -> StoredEpisode:
-        """Read an episode and check that every byte is as it was written.
+        """Read an episode and check its checksum.
 
         Args:
-            index: Place in the store.
+            index: Index in the store.
 
         Raises:
             IndexError: There is no such episode.
-            UserError: The file is missing, truncated, damaged, or another episode's.
+            UserError: The file is missing, damaged, or holds another episode.
         """
         if not 0 <= index < len(self):
             raise IndexError(f"episode {index} of {len(self)}")

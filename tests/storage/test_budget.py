@@ -115,9 +115,9 @@ def test_changed_settings_are_noticed(finished: Path, tmp_path: Path) -> None:
     text = config.read_text()
     try:
         config.write_text(text.replace("budget_minutes: 0.0667", "budget_minutes: 0.0668"))
-        with pytest.raises(UserError, match=r"config\.yaml is not what the run was started with"):
+        with pytest.raises(UserError, match=r"config\.yaml has changed since the run began"):
             spending_of_run(finished)
-        with pytest.raises(UserError, match=r"config\.yaml is not what the run was started with"):
+        with pytest.raises(UserError, match=r"config\.yaml has changed since the run began"):
             grant(finished, 1.0)
     finally:
         config.write_text(text)

@@ -236,7 +236,7 @@ def test_a_changed_entry_is_noticed(path: Path) -> None:
     connection.execute(LEDGER.schema[1])
     connection.commit()
     connection.close()
-    with pytest.raises(UserError, match="entry 2 is not as it was written"):
+    with pytest.raises(UserError, match="entry 2 has changed since it was written"):
         Ledger(path)
 
 
@@ -311,7 +311,7 @@ def test_settling_checks_its_ticks_but_never_loses_any(path: Path) -> None:
             with pytest.raises(ValueError, match="-1"):
                 entry.settle(-1)
             entry.settle(3)
-            with pytest.raises(ValueError, match="settled already"):
+            with pytest.raises(ValueError, match="already settled"):
                 entry.settle(2)
         assert ledger.spent_ticks("reset") == 3
         with ledger.reserve("reset", 5) as entry:
@@ -368,7 +368,7 @@ def test_the_budget_counts_motion_only_and_cannot_be_exceeded(path: Path) -> Non
             assert budget.remaining_ticks == 20
             entry.settle(70)
         assert budget.remaining_ticks == 50
-        with pytest.raises(BudgetError, match="51 ticks asked for, 50 remain"), budget.reserve(51):
+        with pytest.raises(BudgetError, match="51 ticks requested, 50 remain"), budget.reserve(51):
             pass
         assert budget.remaining_ticks == 50
         with budget.reserve(50) as entry:
