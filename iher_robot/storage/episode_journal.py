@@ -136,9 +136,8 @@ class EpisodeIndex(Closing):
             UserError: The system refuses.
         """
         assert self.running is not None, "begin comes first"
-        self.running.ticks.append(
-            tick
-        )  # first: a tick that cannot be journalled may still be stored
+        # First: a tick that cannot be journalled may still be stored.
+        self.running.ticks.append(tick)
         self._insert(len(self.running.ticks) - 1, tick)
 
     def add(self, digest: str) -> None:
