@@ -10,10 +10,10 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from iher_robot._shadowing import require_packages_beside
+from iher_robot._shadowing import require_own_packages
 from iher_robot.version import __version__
 
-require_packages_beside("drivers", "tasks")
+require_own_packages("drivers", "tasks")
 
 from drivers import (  # noqa: E402  (only once it is known that these are ours)
     ActionSpec,

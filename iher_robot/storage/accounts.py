@@ -114,7 +114,7 @@ def total_entries(database: Database, newest: int = 0) -> Accounts:
     if accounts.last < newest:
         raise UserError(
             f"{database.path} lost its entries from {accounts.last + 1} to {newest}: it or its "
-            "-wal file is damaged or too old; put the newest ones back"
+            "-wal file is damaged or too old; restore the newest ones"
         )
     return accounts
 

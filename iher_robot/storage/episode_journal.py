@@ -224,7 +224,7 @@ class EpisodeIndex(Closing):
 
     def _damaged(self) -> UserError:
         return UserError(
-            f"{self.path} is damaged; put back the index that belongs to the episode files"
+            f"{self.path} is damaged; restore the index that belongs to the episode files"
         )
 
 

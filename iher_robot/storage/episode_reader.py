@@ -72,7 +72,7 @@ class EpisodeReader(Closing):
         archive = read_file(path, "episode file")
         stored = read_episode(path, archive, index)
         if file_digest(archive) != self._index.digests[index]:
-            raise UserError(f"{path} is not the file that was stored; put that one back")
+            raise UserError(f"{path} is not the file that was stored; restore that one")
         return stored
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class EpisodeReader(Closing):
         names = self._file_names()
         for index in range(len(self)):
             if self.path(index).name not in names:
-                raise UserError(f"{self.path(index)} is missing; put it back")
+                raise UserError(f"{self.path(index)} is missing; restore it")
 
     def _file_names(self) -> set[str]:
         return {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}

@@ -170,7 +170,7 @@ class EpisodeStore(EpisodeReader):
             return self.seal(CUT_OFF)
         # Its file was written, but not indexed. The journal may lack its last tick.
         not_indexed = UserError(
-            f"{self.directory / INDEX_NAME} does not know {beyond.name}; put the newest index back"
+            f"{self.directory / INDEX_NAME} does not know {beyond.name}; restore the newest index"
         )
         if running is None and self._lock.note:
             raise not_indexed
@@ -191,7 +191,7 @@ class EpisodeStore(EpisodeReader):
         if names - {self.path(index).name for index in range(len(self) + 1)}:
             raise UserError(
                 f"{self.directory / INDEX_NAME} knows {len(self)} episodes, but there are files of "
-                f"{len(names)}; put the newest index back"
+                f"{len(names)}; restore the newest index"
             )
 
     def _check_newest(self) -> None:
@@ -202,7 +202,7 @@ class EpisodeStore(EpisodeReader):
             raise UserError(
                 f"{self.directory / INDEX_NAME} lost a part: it had {episodes} episodes and "
                 f"{ticks} ticks of another, and has {len(self)} and {found}; it or its -wal file "
-                "is damaged or too old, put the newest ones back"
+                "is damaged or too old; restore the newest ones"
             )
 
     def _write_note(self) -> None:

@@ -1,4 +1,4 @@
-"""Interface of real data: task, observation layout and robot, in one file beside them."""
+"""Interface of real data: task, observation layout and robot, in one file next to them."""
 
 from __future__ import annotations
 

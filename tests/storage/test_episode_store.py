@@ -164,7 +164,7 @@ def test_a_gap_is_an_error_that_names_the_missing_file(store: EpisodeStore) -> N
 def test_an_index_that_is_older_than_the_files_is_named(store: EpisodeStore, name: str) -> None:
     store.close()
     shutil.copy(store.path(2), store.directory / name)
-    with pytest.raises(UserError, match=r"index\.sqlite .* put the newest index back"):
+    with pytest.raises(UserError, match=r"index\.sqlite .* restore the newest index"):
         EpisodeStore(store.directory)
 
 
