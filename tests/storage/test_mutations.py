@@ -17,7 +17,8 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation.policy_file import load_policy
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.storage.checkpoint import load_checkpoint
-from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface, read_interface
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import read_provenance

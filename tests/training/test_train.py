@@ -27,7 +27,7 @@ from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.checkpoint import load_checkpoint
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.train import resume, train

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface, read_interface
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.train import resume, train

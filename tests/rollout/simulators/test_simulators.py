@@ -34,7 +34,8 @@ from iher_robot.rollout.simulators.episode import Order, SimulatedEpisode
 from iher_robot.rollout.simulators.pool import EpisodeFuture, SimulatorPool
 from iher_robot.storage.budget import Budget
 from iher_robot.storage.episode import StoredEpisode
-from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.files.sqlite import Database
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.robot_time import RobotTime
