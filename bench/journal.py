@@ -20,12 +20,15 @@ from typing import Any
 import numpy as np
 
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
-from iher_robot.rollout.episode import Recorder
-from iher_robot.rollout.recorder import DurableRecorder
+from iher_robot.rollout.durable_recorder import DurableRecorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.observer import EpisodeObserver, EpisodeStart, Transition
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import commit, machine, versions
+from tests.random_actor import RandomActor
 
 TICKS = 50
 WAYS = ("memory", "kept", "kept durably")
@@ -46,31 +49,34 @@ class Keeping:
             self._store,
             partial(self._ledger.reserve, "motion", TICKS, counted=True),
             self._ledger,
-            lambda told, entry: EpisodeHeader(1, told, "motion", seed, entry),
+            lambda source, entry: EpisodeHeader(1, source, "motion", seed, entry),
         )
 
 
-def run_episode(env: GoalRobotEnv, recorder: Recorder, seed: int) -> list[float]:
-    """Milliseconds of each tick beside those of the environment's step."""
-    rng = np.random.default_rng(seed)
-    observation, _ = env.reset(seed=seed)
-    recorder.start(observation)
-    times = []
-    for _ in range(TICKS):
-        action = rng.uniform(-1, 1, 4).astype(np.float32)
-        begun, in_step = time.perf_counter(), Stopwatch(env)
-        recorder.step(in_step, action)  # type: ignore[arg-type]
-        times.append(1e3 * (time.perf_counter() - begun - in_step.seconds))
-    env.hold()
-    return times
+class Stopwatch(EpisodeObserver):
+    """Measures each tick beside those of the environment's step. Last of the observers."""
+
+    def __init__(self, env: TimedEnv) -> None:
+        self._env = env
+        self._turned = 0.0
+        self.times_ms: list[float] = []
+
+    def start(self, start: EpisodeStart) -> None:  # noqa: ARG002
+        self._turned = time.perf_counter()
+
+    def after_tick(self, transition: Transition) -> None:  # noqa: ARG002
+        now = time.perf_counter()
+        self.times_ms.append(1e3 * (now - self._turned - self._env.seconds))
+        self._turned = now
 
 
-class Stopwatch:
-    """Stands for an environment and measures its step."""
+class TimedEnv:
+    """An environment that measures its step."""
 
     def __init__(self, env: GoalRobotEnv) -> None:
         self._env = env
         self.seconds = 0.0
+        self.reset, self.hold, self.render = env.reset, env.hold, env.render
 
     def step(self, action: Any) -> Any:
         begun = time.perf_counter()
@@ -79,9 +85,13 @@ class Stopwatch:
         finally:
             self.seconds = time.perf_counter() - begun
 
-    @property
-    def state(self) -> Any:
-        return self._env.state
+
+def ticks_of(env: GoalRobotEnv, recorder: Recorder, seed: int) -> list[float]:
+    """Milliseconds of each tick beside those of the environment's step."""
+    timed = TimedEnv(env)
+    watch = Stopwatch(timed)
+    run_episode(timed, RandomActor(seed), recorder, seed=seed, ticks=TICKS, observers=[watch])
+    return watch.times_ms
 
 
 def measure(folder: Path, rounds: int, episodes: int) -> dict[str, Any]:
@@ -96,10 +106,10 @@ def measure(folder: Path, rounds: int, episodes: int) -> dict[str, Any]:
                 for index in range(episodes):
                     seed = 1000 * round_number + index
                     if way == "memory":
-                        ticks[way] += run_episode(env, Recorder(), seed)
+                        ticks[way] += ticks_of(env, Recorder(), seed)
                         continue
                     with kept[way].recorder(seed) as recorder:
-                        ticks[way] += run_episode(env, recorder, seed)
+                        ticks[way] += ticks_of(env, recorder, seed)
                 rates[way].append(episodes * TICKS / (time.perf_counter() - begun))
     return {
         way: {

@@ -42,9 +42,11 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.mlp import in_blocks
 from iher_robot.learning.transitions import BLOCK
-from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.provenance import collect_provenance
 from iher_robot.training.setup import TrainingSetup, open_training_setup
+from tests.random_actor import RandomActor
 
 TRANSITIONS = 1_000_000
 SOAK_TRANSITIONS = 5_000_000
@@ -81,18 +83,13 @@ class Stages:
 
 def record(env: GoalRobotEnv) -> list[Episode]:
     """Episodes of random actions."""
-    rng = np.random.default_rng(0)
-    episodes = []
+    actor, episodes = RandomActor(0), []
     for index in range(RECORDED):
         recorder = Recorder()
-        observation, _ = env.reset(seed=index)
-        recorder.start(observation)
-        while recorder.ticks < env.task.episode_ticks:
-            recorder.step(env, rng.uniform(-1, 1, 4).astype(np.float32))
+        run_episode(env, actor, recorder, seed=index, ticks=env.task.episode_ticks)
         episode = recorder.episode()
         assert episode is not None
         episodes.append(episode)
-    env.hold()
     return episodes
 
 
@@ -113,14 +110,16 @@ def epoch_sizes(learner: Learner) -> list[int]:
     return sizes + [episodes - sum(sizes)] * (sum(sizes) < episodes)
 
 
-def workcell(preset: str, *overrides: str) -> AbstractContextManager[TrainingSetup]:
-    return open_training_setup(load_config("push", preset, "iher", overrides, {"device": "cpu"}))
+def training_setup(preset: str, *overrides: str) -> AbstractContextManager[TrainingSetup]:
+    return open_training_setup(
+        load_config("push", preset=preset, overrides=overrides, device="cpu")
+    )
 
 
 def full() -> dict[str, Any]:
     """Both replays filled as a run fills them."""
     stages = Stages()
-    with workcell("paper", *FEW_STEPS) as cell:
+    with training_setup("paper", *FEW_STEPS) as cell:
         learner = cell.learner
         recorded = record(cell.env)
         stages.add("robot, simulator and learner")
@@ -154,7 +153,7 @@ def state_of_full(learner: Learner, recorded: Sequence[Episode]) -> dict[str, An
 def restored(*, streamed: bool = False) -> dict[str, Any]:
     """A run that goes on, and its first epoch, in which the imaginary source is refilled."""
     stages = Stages()
-    with workcell("paper", *FEW_STEPS) as cell:
+    with training_setup("paper", *FEW_STEPS) as cell:
         learner = cell.learner
         recorded = record(cell.env)
         state = state_of_full(learner, recorded)
@@ -194,7 +193,7 @@ def soak() -> dict[str, Any]:
         "learner.schedule.cycles=25",
         "learner.schedule.policy_copy_cycles=25",
     )
-    with workcell("paper", *overrides) as cell:
+    with training_setup("paper", *overrides) as cell:
         learner = cell.learner
         recorded = record(cell.env)
         unseen = list(variations(recorded, 20, 0))
@@ -222,7 +221,7 @@ def short() -> dict[str, Any]:
     The replay is far from full, so that the episodes themselves, about 40 kB an epoch, are growth.
     """
     overrides = ("learner.schedule.updates_per_step=0.2", "learner.contact.updates_per_step=0.2")
-    with workcell("default", *overrides) as cell:
+    with training_setup("default", *overrides) as cell:
         learner = cell.learner
         recorded = record(cell.env)
         rng = np.random.default_rng(0)
@@ -238,7 +237,7 @@ def short() -> dict[str, Any]:
 def rows() -> dict[str, Any]:
     """What is compiled for numbers of rows that differ, and kept."""
     stages = Stages()
-    with workcell("paper") as cell, torch.no_grad():
+    with training_setup("paper") as cell, torch.no_grad():
         model = cell.learner.ensemble.members[0]
         inputs = torch.randn(4_000, model[0].in_features)
         counts = np.random.default_rng(0).permutation(len(inputs))[:300]

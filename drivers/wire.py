@@ -21,6 +21,8 @@ from pydantic import (
     ValidationError,
 )
 
+from drivers.validation import describe_first_problem
+
 VERSION = 1
 MAX_BYTES = 1 << 20
 """No message is longer; a longer one is not read at all."""
@@ -158,15 +160,11 @@ def check(model: type[Model], content: Mapping[str, object]) -> Model:
     """
     try:
         return model.model_validate(content)
-    except (ValidationError, RecursionError) as error:
-        raise WireError("malformed", f"no {model.__name__}: {_first(error)}") from None
-
-
-def _first(error: ValidationError | RecursionError) -> str:
-    if isinstance(error, RecursionError):
-        return "nested too deeply"
-    detail = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, detail['loc']))}: {detail['msg']}"
+    except ValidationError as error:
+        problem = describe_first_problem(error)
+    except RecursionError:
+        problem = "nested too deeply"
+    raise WireError("malformed", f"no {model.__name__}: {problem}")
 
 
 def _pack_other(value: object) -> object:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from drivers.names import unknown
-
 
 class UserError(ValueError):
     """Bad input: the message says what, its value, what is allowed and what to do."""
@@ -25,6 +23,8 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str]) -> UserError:
     Returns:
         The error, ready to raise.
     """
+    from drivers.names import unknown
+
     return UserError(unknown(kind, name, allowed))
 
 

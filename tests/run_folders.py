@@ -91,10 +91,10 @@ def make_run(
     *,
     task: str = "reach",
     robot: str = "fetch-mocap",
-    **settings: object,
+    **settings: Any,
 ) -> list[StoredEpisode]:
     """Make the folder of a run that holds these episodes; return them as they are stored."""
-    config = load_config(task, "default", "iher", (), settings, robot)
+    config = load_config(task, robot=robot, **settings)
     directory = RunDirectory.create(path, dump_config(config))
     keep_interface(directory.episodes_path, interface(task, robot))
     now = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)

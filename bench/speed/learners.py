@@ -41,7 +41,9 @@ def learner_of_push(settings: Settings, precision: Precision, overrides: Sequenc
     """An untrained learner with the sizes of the preset ``paper`` and some real episodes."""
     task, episodes = recorded()
     graphs = ["learner.cuda_graphs=true"] if settings.device.type == "cuda" else []
-    config = load_config("push", "paper", "iher", [*overrides, *precision.overrides, *graphs])
+    config = load_config(
+        "push", preset="paper", overrides=[*overrides, *precision.overrides, *graphs]
+    )
     learner = make_learner(config, task, settings.device)
     learner.add_real(episodes)
     return learner

@@ -112,9 +112,7 @@ class Acting:
 
 def many_simulators(stack: ExitStack, learner: Learner, cores: int, episodes: int) -> Contender:
     simulators = max(2, cores)
-    config = load_config(
-        "push", "paper", "iher", (), {"simulators": simulators}, robot="fetch-mocap"
-    )
+    config = load_config("push", preset="paper", simulators=simulators, robot="fetch-mocap")
     pool = stack.enter_context(SimulatorPool(config, EPISODE_TICKS))
     count = episodes * simulators
 

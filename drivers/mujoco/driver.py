@@ -13,13 +13,13 @@ from drivers.clock import SimulatedClock
 from drivers.command import Command, ResetOutcome, ResetRequest, ResetResult
 from drivers.driver import RobotDriver
 from drivers.mujoco.actuation import Actuation, MocapActuation
-from drivers.mujoco.arm import arm_model, arm_start, kinematic_model
-from drivers.mujoco.fetch_spec import fetch_spec, kinematic_digest
+from drivers.mujoco.compiled import compile_scene
+from drivers.mujoco.fetch_spec import fetch_spec
 from drivers.mujoco.measure import Sensors
 from drivers.mujoco.picture import Pictures
 from drivers.mujoco.requests import object_places, require_same_model
 from drivers.mujoco.robot import FetchRobot, fetch_robot
-from drivers.mujoco.scene import find_scene, mocap_model, prepare, settle
+from drivers.mujoco.scene import find_scene
 from drivers.mujoco.servo import JointActuation
 from drivers.state import AppliedCommand, RobotState
 
@@ -45,21 +45,18 @@ class MujocoDriver(RobotDriver):
             UnknownDriver: If there is no such scene.
         """
         self._robot = FetchRobot() if robot is None else robot
-        self._scene = find_scene(scene)
+        fetch_scene = find_scene(scene)
+        compiled = compile_scene(scene, self._robot)
+        self._model, self._start = compiled.model, compiled.start
         self._actuation: Actuation
         if self._robot.actuation == "mocap":
-            self._model = mocap_model(self._scene)
-            kinematics = kinematic_digest(self._model)
-            self._start = settle(self._model, self._scene)
-            self._actuation = MocapActuation(self._model, self._scene.locked_fingers)
+            self._actuation = MocapActuation(self._model, fetch_scene.locked_fingers)
         else:
-            self._model = arm_model(self._scene, self._robot)
-            kinematics = kinematic_model(self._scene)
-            self._start = arm_start(self._model, self._scene)
             self._actuation = JointActuation(self._model, self._brake)
-        prepare(self._model, self._robot.object)
         self._sim_clock = SimulatedClock()
-        spec = fetch_spec(self._model, scene, self._scene, self._start, self._robot, kinematics)
+        spec = fetch_spec(
+            self._model, scene, fetch_scene, self._start, self._robot, compiled.kinematics
+        )
         super().__init__(spec, self._sim_clock)
         self._data = mujoco.MjData(self._model)
         self._sensors = Sensors(self._model, self.spec, self._robot.sensors)

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import InvalidSpec
-from drivers.names import unknown
+from drivers.validation import describe_problems
 
 Actuation = Literal["joint", "mocap"]
 
@@ -92,25 +92,4 @@ def fetch_robot(options: Mapping[str, object]) -> FetchRobot:
     try:
         return FetchRobot.model_validate(options)
     except ValidationError as error:
-        sentences = [
-            _sentence(
-                tuple(map(str, detail["loc"])), detail["type"], detail["msg"], detail["input"]
-            )
-            for detail in error.errors(include_url=False)
-        ]
-        raise InvalidSpec("; ".join(sentences)) from None
-
-
-def _sentence(path: tuple[str, ...], kind: str, reason: str, value: object) -> str:
-    key = ".".join(path)
-    if kind == "extra_forbidden":
-        section = FetchRobot.model_fields[path[0]].annotation if len(path) > 1 else FetchRobot
-        assert isinstance(section, type)
-        assert issubclass(section, BaseModel)
-        return unknown(
-            "robot setting", key, [".".join((*path[:-1], n)) for n in section.model_fields]
-        )
-    if kind == "model_type":
-        keys = ", ".join(type(getattr(FetchRobot(), key)).model_fields)
-        return f"robot setting {key} is {value!r}, allowed: a section with the keys {keys}"
-    return f"robot setting {key} is {value!r}: {reason[0].lower()}{reason[1:]}"
+        raise InvalidSpec(describe_problems(error, FetchRobot, "robot setting")) from None

@@ -38,6 +38,7 @@ from drivers.remote.state_message import HostInfo
 from drivers.safety import SafetyFilter
 from drivers.spec import RobotSpec
 from drivers.state import RobotState
+from drivers.validation import describe_first_problem
 from drivers.wire import VERSION, pack
 
 log = logging.getLogger(__name__)
@@ -380,7 +381,9 @@ def read_spec(content: Mapping[str, object]) -> RobotSpec:
     try:
         spec = _SPEC.validate_python(content)
     except ValidationError as error:
-        raise LinkLost(f"the host sends no description of a robot: {error}") from error
+        raise LinkLost(
+            f"the host sends no description of a robot: {describe_first_problem(error)}"
+        ) from error
     for name in ("interface_digest", "body_digest"):
         if getattr(spec, name) != content.get(name):
             raise LinkLost(

@@ -15,9 +15,9 @@ import zenoh
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import InvalidSpec, LinkLost
-from drivers.names import unknown
 from drivers.remote.certificates import TlsFiles, check_certificates
 from drivers.remote.keys import ROBOT_NAME
+from drivers.validation import describe_problems
 from drivers.wire import MAX_BYTES
 
 log = logging.getLogger(__name__)
@@ -98,8 +98,7 @@ def link_options(options: Mapping[str, object]) -> LinkOptions:
     try:
         link = LinkOptions.model_validate(options)
     except ValidationError as error:
-        details = error.errors(include_url=False, include_context=False)
-        raise InvalidSpec("; ".join(_sentence(detail) for detail in details)) from None
+        raise InvalidSpec(describe_problems(error, LinkOptions, "remote robot setting")) from None
     if (link.user is None) != (link.password_file is None):
         raise InvalidSpec("a remote robot's user and password_file belong together; give both")
     if link.tls is None and any(endpoint.startswith("tls/") for endpoint in link.connect):
@@ -226,14 +225,3 @@ def _password(path: Path) -> str:
         )
     warn_if_others_can_read(path, "password_file")
     return lines[0].strip()  # so does the host with what its file of users says
-
-
-def _sentence(detail: Mapping[str, object]) -> str:
-    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
-    key, value, reason = ".".join(path), detail["input"], str(detail["msg"])
-    if detail["type"] == "extra_forbidden":
-        section: type[BaseModel] = TlsFiles if path[0] == "tls" else LinkOptions
-        names = [".".join((*path[:-1], name)) for name in section.model_fields]
-        return unknown("setting of a remote robot", key, names)
-    reason = reason.removeprefix("Value error, ")
-    return f"setting {key} of a remote robot is {value!r}: {reason[0].lower()}{reason[1:]}"

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from drivers.errors import LinkLost
 from drivers.remote.client import RobotClient
 from drivers.remote.messages import Empty
+from drivers.validation import describe_first_problem
 from drivers.wire import Count, Name, Text
 
 
@@ -81,9 +82,7 @@ def read_status(client: RobotClient, timeout_s: float | None = None) -> HostStat
     try:
         return HostStatus.model_validate(reply.result)
     except ValidationError as error:
-        detail = error.errors(include_url=False, include_context=False)[0]
-        where = ".".join(str(part) for part in detail["loc"])
         raise LinkLost(
             f"the host of robot {client.options.robot!r} answers status in another protocol: "
-            f"{where}: {detail['msg']}"
+            f"{describe_first_problem(error)}"
         ) from None

@@ -13,6 +13,7 @@ from iher_robot.errors import UserError
 from iher_robot.training.learners.torchrun import read_torchrun_rank
 
 _BESIDE_RESUME = {"resume", "display", "simulators", "video"}
+_BESIDE_CONFIG = {"config", "out", "display", "simulators", "video"}
 
 
 def train(
@@ -44,6 +45,14 @@ def train(
         str | None,
         typer.Option(
             metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="All settings from a file, such as the config.yaml of another run.",
+            show_default=False,
         ),
     ] = None,
     from_data: Annotated[
@@ -80,19 +89,31 @@ def train(
     ] = True,
 ) -> None:
     """Learn a task within a budget of robot minutes and leave a policy."""
-    place = read_torchrun_rank()
-    if place is not None and place.rank:
+    rank = read_torchrun_rank()
+    if rank is not None and rank.rank:
         from iher_robot.training.learners.distributed_worker import main as learn_with_others
 
-        learn_with_others(place)
+        learn_with_others(rank)
         return
     folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
     if stopped is not None:
-        _refuse_settings_beside_resume(context)
+        _refuse_settings_beside(context, "--resume", _BESIDE_RESUME)
         with told_when_interrupted(stopped):
             from iher_robot.training.train import resume as resume_run
 
             result = resume_run(stopped, simulators=simulators, display=display, video=video)
+        typer.echo(result.summary())
+        return
+    if config is not None:
+        _refuse_settings_beside(context, "--config", _BESIDE_CONFIG)
+        with told_when_interrupted(folder):
+            from iher_robot.config.run import change_simulators, read_config
+            from iher_robot.training.train import train as train_run
+
+            settings = read_config(config)
+            if simulators is not None:
+                settings = change_simulators(settings, simulators)
+            result = train_run(settings, out=folder, display=display, video=video)
         typer.echo(result.summary())
         return
     if task is None:
@@ -140,16 +161,22 @@ def _folder(text: str | None, option: str) -> Path | None:
     return None if text is None else Path(text)
 
 
-def _refuse_settings_beside_resume(context: typer.Context) -> None:
+_WHY_ALONE = {
+    "--resume": "continues a run exactly as it was configured",
+    "--config": "gives all settings of a run",
+}
+
+
+def _refuse_settings_beside(context: typer.Context, option: str, allowed: set[str]) -> None:
     given = [
-        option.opts[0]
-        for option in context.command.params
-        if option.name not in _BESIDE_RESUME and _is_given(context, option.name)
+        other.opts[0]
+        for other in context.command.params
+        if other.name not in allowed and _is_given(context, other.name)
     ]
     if given:
         raise UserError(
-            f"--resume continues a run exactly as it was configured: leave out {', '.join(given)}, "
-            "or start a new run without --resume"
+            f"{option} {_WHY_ALONE[option]}: leave out {', '.join(given)}, or start a new run "
+            f"without {option}"
         )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from drivers.validation import list_problems
 from iher_robot.config.layers import Layer
 from iher_robot.errors import UserError
 
@@ -94,13 +95,13 @@ class Keys:
             origins: Where each dotted key was set.
         """
         sentences = []
-        for detail in error.errors(include_url=False):
-            key = self._known_prefix([str(part) for part in detail["loc"]])
-            if key in self.leaves and detail["type"] != "value_error":
+        for problem in list_problems(error):
+            key = self._known_prefix(problem.path)
+            if key in self.leaves and problem.kind != "value_error":
                 origin = origins.get(key, Layer("default", {}))
-                sentences.append(self.out_of_range(key, detail["input"], origin))
+                sentences.append(self.out_of_range(key, problem.value, origin))
             else:
-                sentences.append(f"{key}: {detail['msg'].removeprefix('Value error, ')}")
+                sentences.append(f"{key}: {problem.reason}")
         return sentences
 
     def out_of_range(self, key: str, value: object, origin: Layer) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from drivers import InvalidSpec
 from iher_robot.config.layers import is_yaml_file, robot_layer
+from iher_robot.config.paths import TLS_PATHS, resolve_paths
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.errors import UserError
 
@@ -23,6 +24,8 @@ _DEFAULT_ROBOTS = {DEFAULT_DRIVER: "fetch", REMOTE_DRIVER: "fetch"}
 
 # What the environment decides itself; the rest of a file is for the driver to judge.
 _NOT_OF_A_ROBOT = ("ask_human", "driver_name", "name", "render_mode", "scene", "task_name")
+
+_PATHS = ("password_file", *TLS_PATHS)
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def choose_robot(
             f"use --driver {REMOTE_DRIVER}"
         )
     if chosen == REMOTE_DRIVER:
-        options = _beside_file(options, origin) if origin else {"robot": name}
+        options = resolve_paths(options, origin, _PATHS) if origin else {"robot": name}
         if connect:
             options["connect"] = list(connect)
     elif not origin and (robot is not None or name):
@@ -159,17 +162,3 @@ def _named_driver(origin: str, named: object, asked: str | None) -> str | None:
             "give the file of another robot"
         )
     return named
-
-
-def _beside_file(options: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """Find the files that a robot's file names: it says where they are from its own folder."""
-    folder = Path(file).absolute().parent
-    found = dict(options)
-    if isinstance(found.get("password_file"), str):
-        found["password_file"] = str(folder / found["password_file"])
-    if isinstance(found.get("tls"), Mapping):
-        found["tls"] = {
-            key: str(folder / value) if isinstance(value, str) else value
-            for key, value in found["tls"].items()
-        }
-    return found

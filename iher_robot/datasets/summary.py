@@ -16,6 +16,7 @@ from iher_robot.datasets.run_reader import RunData
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import StoredEpisode
+from iher_robot.storage.robot_time import RobotTime
 from tasks import GoalModel, ObservationLayout
 
 # By the end of an entry's name: the tasks give velocities as displacements in a tick.
@@ -203,8 +204,8 @@ def _robot_time(run: RunData, stored: Iterable[StoredEpisode]) -> str:
         return ""
     parts = []
     for account in sorted({one.account for one in stored}, key=_motion_first):
-        minutes = run.spent_ticks[account] * run.robot.control_period_s / 60.0
-        parts.append(f"{account} {minutes:.2f} min")
+        spent = RobotTime(run.spent_ticks[account], run.robot.control_period_s)
+        parts.append(f"{account} {spent.minutes:.2f} min")
     return ", ".join(parts)
 
 

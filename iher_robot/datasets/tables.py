@@ -11,8 +11,9 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from iher_robot.datasets.robot_time import Spending
+from iher_robot.datasets.spending import Spending
 from iher_robot.datasets.summary import EpisodeGroup, EpisodeReport, RunLine, RunReport
+from iher_robot.storage.robot_time import RobotTime
 
 _COLUMNS_OF_A_FILE = 240
 _LEFT = {"run", "task", "robot", "algorithm", "robot time", "last change", "account"}
@@ -79,16 +80,13 @@ def episode_table(report: EpisodeReport) -> RenderableType:
 def spending_table(spending: Spending) -> RenderableType:
     """One row for each account, and what is left of the budget."""
     table = _table("account", "ticks", "robot minutes")
-    for account, ticks in spending.spent_ticks.items():
-        _add(table, account, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
-    left = spending.left_ticks
-    if left is not None and spending.budget_ticks is not None:
+    _add_times(table, spending.spent.items())
+    if spending.budget is not None and spending.left is not None:
         table.add_section()
-        rows = {"budget of motion": spending.budget_ticks, "left of it": left}
-        if spending.granted_ticks:
-            rows["granted since it began"] = spending.granted_ticks
-        for name, ticks in rows.items():
-            _add(table, name, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
+        times = {"budget of motion": spending.budget, "left of it": spending.left}
+        if spending.granted is not None and spending.granted.ticks:
+            times["granted since it began"] = spending.granted
+        _add_times(table, times.items())
     return Group(Text(spending.whose), table)
 
 
@@ -104,6 +102,11 @@ def _counts(groups: Iterable[EpisodeGroup]) -> list[str]:
         f"{total_return / episodes:.1f}",
         f"{sum(group.successes for group in groups) / episodes:.0%}",
     ]
+
+
+def _add_times(table: Table, times: Iterable[tuple[str, RobotTime]]) -> None:
+    for name, time in times:
+        _add(table, name, f"{time.ticks:,}", f"{time.minutes:.2f}")
 
 
 def _numbers(values: NDArray[np.floating]) -> str:

@@ -13,7 +13,8 @@ from iher_robot.datasets.summary import counted
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import StoredEpisode
-from iher_robot.storage.files.atomic import check_seal, read_file
+from iher_robot.storage.files.atomic import read_file
+from iher_robot.storage.files.checksum import check_zip
 from iher_robot.storage.run_result import read_result
 
 
@@ -81,7 +82,7 @@ def check_run(run: RunData) -> Verification:
         read_result(run.directory.result_path)
     for path in (run.directory.policy_path, run.directory.checkpoint_path):
         with _noted(problems):
-            _check_seal(path)
+            _check_torch_file(path)
     ticks = sum(len(one.episode) for one in stored + earlier)
     return Verification(len(stored) + len(earlier), ticks, tuple(dict.fromkeys(problems)))
 
@@ -135,7 +136,7 @@ def _check_told(run: RunData, told: int, stored: Iterable[StoredEpisode]) -> Non
         )
 
 
-def _check_seal(path: Path) -> None:
+def _check_torch_file(path: Path) -> None:
     if path.exists():
         kind = f"{path.stem} file"
-        check_seal(read_file(path, kind), path, kind)
+        check_zip(read_file(path, kind), path, kind)

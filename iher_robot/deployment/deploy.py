@@ -13,7 +13,7 @@ from iher_robot.deployment.preflight import make_plan
 from iher_robot.deployment.session import Deployment
 from iher_robot.env.operator import Ask, Operator
 from iher_robot.errors import UserError
-from iher_robot.evaluation.compatibility import load_actor
+from iher_robot.evaluation.compatibility import load_trained_policy
 from iher_robot.evaluation.evaluate import rate_with_interval
 
 Echo = Callable[[str], None]
@@ -140,7 +140,7 @@ def deploy(
     if not (dry_run or operator.present):
         _require_script(yes=yes, label=label)
     deployment = Deployment(
-        actor=load_actor(policy, task),
+        trained=load_trained_policy(policy, task),
         robot=choose_own_robot(driver, robot, connect),
         operator=operator,
         say=echo,
@@ -152,7 +152,7 @@ def deploy(
     )
     with deployment.connected() as env:
         plan = make_plan(
-            deployment.actor,
+            deployment.trained,
             env,
             deployment.robot,
             episodes=episodes,
@@ -167,7 +167,7 @@ def deploy(
             deployment.require_start()
             log = deployment.run(env, plan, out)
     return DeployResult(
-        task=deployment.actor.task.name,
+        task=deployment.trained.task.name,
         environment=deployment.robot.title,
         episodes=() if log is None else tuple(log.episodes),
         control_period_s=plan.control_period_s,

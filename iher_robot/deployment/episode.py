@@ -1,4 +1,4 @@
-"""One episode of a policy on a robot, each tick of it logged."""
+"""Deployed episode: a policy acts on the robot, and every tick is logged."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
-from drivers import DriverError, RobotState
+from drivers import DriverError
 from iher_robot.deployment.log import DeploymentLog, EpisodeRecord
 from iher_robot.deployment.robot_checks import require_home
 from iher_robot.env.goal_env import EpisodeAborted, GoalRobotEnv, Observation
 from iher_robot.errors import describe
-from iher_robot.evaluation.compatibility import Actor
-from iher_robot.learning.goal_model import REAL
-from iher_robot.rollout.episode import choose_action
-from iher_robot.rollout.recorder import DurableRecorder
+from iher_robot.evaluation.compatibility import TrainedPolicy
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.durable_recorder import DurableRecorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.observer import (
+    Action,
+    EpisodeObserver,
+    EpisodeStart,
+    Transition,
+)
 from iher_robot.storage.episode import DONE
 
 _UNKNOWN_OUTCOME = dict.fromkeys(
@@ -38,11 +44,108 @@ _UNKNOWN_OUTCOME = dict.fromkeys(
 )
 
 
+class DeploymentRecorder(DurableRecorder):
+    """Durable record of a deployed episode, which begins at home or not at all."""
+
+    def start(self, start: EpisodeStart) -> None:
+        """Check that the reset brought the robot home, and begin the record.
+
+        Raises:
+            ResetFailed: The robot is elsewhere.
+        """
+        assert isinstance(start.env, GoalRobotEnv)
+        assert start.env.state is not None, "a reset that returns leaves a state"
+        require_home(start.env.robot_spec, start.env.state)
+        super().start(start)
+
+
+class TickLogger(EpisodeObserver):
+    """Writes a line for each tick, the one in flight included.
+
+    Args:
+        env: The robot.
+        log: Where the lines go.
+        record: Record of the episode.
+
+    Attributes:
+        lost: The error of a robot that was lost in the episode, None otherwise.
+    """
+
+    def __init__(self, env: GoalRobotEnv, log: DeploymentLog, record: EpisodeRecord) -> None:
+        self._env = env
+        self._log = log
+        self._record = record
+        self._tick = 0
+        self._line: dict[str, Any] | None = None
+        self._turned = self._chosen = 0.0
+        self.lost: DriverError | None = None
+
+    def start(self, start: EpisodeStart) -> None:  # noqa: ARG002
+        """Start the clock of the first action."""
+        self._turned = time.perf_counter()
+
+    def before_tick(self, observation: Observation, action: Action) -> None:
+        """Begin the line of a tick."""
+        self._chosen = time.perf_counter()
+        self._tick += 1
+        self._line = {
+            "episode": self._record.episode,
+            "tick": self._tick,
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "requested": action,
+            "observation": observation["observation"],
+            "desired_goal": observation["desired_goal"],
+            "policy_ms": 1e3 * (self._chosen - self._turned),
+            **_UNKNOWN_OUTCOME,
+        }
+
+    def after_tick(self, transition: Transition) -> None:
+        """Write the line of a tick with its outcome."""
+        step_ms = 1e3 * (time.perf_counter() - self._chosen)
+        self._write({"step_ms": step_ms} | self._outcome(transition))
+        self._turned = time.perf_counter()
+
+    def abort(self, error: EpisodeAborted) -> None:
+        """Write the line of the tick that failed."""
+        self._write({"error": describe(error)})
+        if isinstance(error.__cause__, DriverError):  # the link or the lease, not the episode
+            self.lost = error.__cause__
+
+    def end(self, error: BaseException | None) -> None:
+        """Write the line of a tick that an error ended."""
+        if error is not None:
+            self._write({"error": describe(error)})
+
+    def _write(self, outcome: dict[str, Any]) -> None:
+        line, self._line = self._line, None
+        if line is not None:
+            self._log.tick(line | outcome)
+
+    def _outcome(self, transition: Transition) -> dict[str, Any]:
+        tick, state = transition.tick, self._env.state
+        assert state is not None, "a step that returns leaves a state"
+        return {
+            "seq": tick.seq,
+            "applied": tick.action_applied,
+            "clipped": tick.clipped,
+            "refusal": tick.refusal,
+            "tick_valid": tick.valid,
+            "ticks": tick.elapsed,
+            "next_observation": transition.next_observation["observation"],
+            "success": transition.success,
+            "q": state.q,
+            "dq": state.dq,
+            "ee_pos": state.ee_pos,
+            "ee_linvel": state.ee_linvel,
+            "mode": state.mode,
+        }
+
+
 def run_deployed_episode(
     env: GoalRobotEnv,
-    actor: Actor,
+    trained: TrainedPolicy,
     log: DeploymentLog,
-    recorder: DurableRecorder,
+    recorder: DeploymentRecorder,
     *,
     seed: int,
     ticks: int,
@@ -51,95 +154,39 @@ def run_deployed_episode(
 
     Args:
         env: The robot, open.
-        actor: The policy.
+        trained: The policy.
         log: Takes every tick, the one in flight included.
-        recorder: Keeps and counts every tick.
+        recorder: Stores and charges every tick.
         seed: Decides start and goal.
-        ticks: Most ticks to run.
+        ticks: Most ticks to charge.
 
     Returns:
-        What became of it; also in the log, whatever this raises.
+        The record of the episode; also in the log, whatever this raises.
 
     Raises:
         UserError: The robot did not get home.
         DriverError: The robot was lost.
     """
     record = log.begin_episode(seed)
-    success = False
-    lost: DriverError | None = None
+    logger = TickLogger(env, log, record)
     with recorder:
         try:
-            observation, _ = env.reset(seed=seed)
-            assert env.state is not None
-            require_home(env.robot_spec, env.state)
-            recorder.start(observation)
-            while recorder.ticks < ticks:
-                observation, success = _run_tick(env, actor, log, record, recorder, observation)
-            record.ended = DONE
-            record.success = record.task_success = success
-        except EpisodeAborted as error:
-            record.ended = recorder.aborted = str(error)
-            if isinstance(error.__cause__, DriverError):  # the link or the lease, not the episode
-                lost = error.__cause__
+            run_episode(
+                env,
+                PolicyActor(trained.policy),
+                recorder,
+                seed=seed,
+                ticks=ticks,
+                observers=[logger],
+            )
+            record.ended = recorder.aborted or DONE
+            record.success = record.task_success = recorder.success
         except BaseException as error:
             record.ended = describe(error)
             raise
         finally:
-            env.hold()
             record.ticks = recorder.ticks
             log.sync()
-    if lost is not None:
-        raise lost
+    if logger.lost is not None:
+        raise logger.lost
     return record
-
-
-def _run_tick(
-    env: GoalRobotEnv,
-    actor: Actor,
-    log: DeploymentLog,
-    record: EpisodeRecord,
-    recorder: DurableRecorder,
-    observation: Observation,
-) -> tuple[Observation, bool]:
-    begun = time.perf_counter()
-    action = choose_action(actor.policy, observation, REAL)[0].numpy()
-    chosen = time.perf_counter()
-    line: dict[str, Any] = {
-        "episode": record.episode,
-        "tick": recorder.ticks + 1,
-        "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        "requested": action,
-        "observation": observation["observation"],
-        "desired_goal": observation["desired_goal"],
-        "policy_ms": 1e3 * (chosen - begun),
-        **_UNKNOWN_OUTCOME,
-    }
-    try:
-        after, info = recorder.step(env, action)
-        line["step_ms"] = 1e3 * (time.perf_counter() - chosen)
-        line |= _outcome(after, info, env.state)
-    except BaseException as error:
-        line["error"] = describe(error)
-        raise
-    finally:
-        log.tick(line)
-    return after, bool(info["is_success"])
-
-
-def _outcome(after: Observation, info: dict[str, Any], state: RobotState | None) -> dict[str, Any]:
-    assert state is not None, "a step that returns leaves a state"
-    return {
-        "seq": state.seq,
-        "applied": info["action_applied"],
-        "clipped": info["clipped"],
-        "refusal": info["refusal"],
-        "tick_valid": info["tick_valid"],
-        "ticks": info["ticks"],
-        "next_observation": after["observation"],
-        "success": bool(info["is_success"]),
-        "q": state.q,
-        "dq": state.dq,
-        "ee_pos": state.ee_pos,
-        "ee_linvel": state.ee_linvel,
-        "mode": state.mode,
-    }

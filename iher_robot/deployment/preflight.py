@@ -13,7 +13,7 @@ from iher_robot.deployment.robot_checks import joints_outside, latched_sentence,
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import (
-    Actor,
+    TrainedPolicy,
     body_differences,
     controller_warnings,
     interface_warnings,
@@ -92,7 +92,7 @@ class DeploymentPlan:
 
 
 def make_plan(
-    actor: Actor,
+    trained: TrainedPolicy,
     env: GoalRobotEnv,
     robot: ChosenRobot,
     *,
@@ -104,7 +104,7 @@ def make_plan(
     """Connect to the robot, which stays held and disarmed, and look at everything.
 
     Args:
-        actor: The policy.
+        trained: The policy.
         env: The robot.
         robot: The same as it was chosen.
         episodes: How many episodes are asked for.
@@ -119,10 +119,10 @@ def make_plan(
     if not env.driver.is_open:
         env.driver.open()
     checks = (
-        _policy(actor),
+        _policy(trained),
         _robot(robot, spec),
-        *_fit(actor, env, accept_interface),
-        _body(actor, spec, accept_body),
+        *_fit(trained, env, accept_interface),
+        _body(trained, spec, accept_body),
         *_limits(spec, speed),
         _fault(env.driver),
         _link(env.driver),
@@ -142,12 +142,12 @@ def deployed_ticks(episode_ticks: int, speed: float) -> int:
     return math.ceil(episode_ticks / speed - 1e-9)
 
 
-def _policy(actor: Actor) -> Check:
-    trained, digest = actor.file.trained, actor.file.layout_digest[:12]
-    origin = " ".join(str(trained[key]) for key in ("algo", "driver", "robot") if trained.get(key))
+def _policy(trained: TrainedPolicy) -> Check:
+    run, digest = trained.file.trained, trained.file.layout_digest[:12]
+    origin = " ".join(str(run[key]) for key in ("algo", "driver", "robot") if run.get(key))
     return Check(
         "policy",
-        f"{actor.path}: {actor.task.name}, observations {digest}"
+        f"{trained.path}: {trained.task.name}, observations {digest}"
         + f", trained by {origin}" * bool(origin),
     )
 
@@ -157,23 +157,23 @@ def _robot(robot: ChosenRobot, spec: RobotSpec) -> Check:
     return Check("robot", f"{robot.title}: {spec.name}, {kind}")
 
 
-def _fit(actor: Actor, env: GoalRobotEnv, accept_interface: bool) -> list[Check]:
+def _fit(trained: TrainedPolicy, env: GoalRobotEnv, accept_interface: bool) -> list[Check]:
     try:
-        warnings = interface_warnings(actor, env, accept_interface=accept_interface)
+        warnings = interface_warnings(trained, env, accept_interface=accept_interface)
     except UserError as error:
         return [Check("interface", str(error), REFUSED)]
     checks = [Check("interface", sentence, WARNING) for sentence in warnings]
     if not checks:
         checks = [Check("interface", f"{env.robot_spec.interface_digest[:12]}, the policy's")]
-    found = controller_warnings(actor, env)
+    found = controller_warnings(trained, env)
     if not found:
         kind = env.controller.settings["kind"]
         return [*checks, Check("controller", f"{kind}, set as the policy's")]
     return [*checks, *(Check("controller", sentence, WARNING) for sentence in found)]
 
 
-def _body(actor: Actor, spec: RobotSpec, accepted: bool) -> Check:
-    found = body_differences(actor.file, spec)
+def _body(trained: TrainedPolicy, spec: RobotSpec, accepted: bool) -> Check:
+    found = body_differences(trained.file, spec)
     if not found:
         return Check("body", f"{spec.body_digest[:12]}, the policy's")
     sentence = f"{spec.name} has another body than the policy was trained on: {'; '.join(found)}"

@@ -14,7 +14,7 @@ from typing import Any
 from drivers import DriverError
 from drivers.closing import Closing
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.deployment.episode import run_deployed_episode
+from iher_robot.deployment.episode import DeploymentRecorder, run_deployed_episode
 from iher_robot.deployment.log import (
     DeploymentLog,
     EpisodeRecord,
@@ -25,9 +25,8 @@ from iher_robot.deployment.preflight import DeploymentPlan, deployed_ticks, faul
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
-from iher_robot.evaluation.compatibility import Actor
+from iher_robot.evaluation.compatibility import TrainedPolicy
 from iher_robot.rollout.episode import Stream, episode_seed
-from iher_robot.rollout.recorder import DurableRecorder
 from iher_robot.rollout.timing import IdleMeter
 from iher_robot.storage.episode import EpisodeHeader
 from iher_robot.storage.episode_store import EpisodeStore
@@ -52,7 +51,7 @@ class KeptEpisodes(Closing):
         self._store = EpisodeStore(directory, durable_ticks=True)
         self.idle = IdleMeter(env.driver, self._ledger)
 
-    def recorder(self, seed: int, ticks: int) -> DurableRecorder:
+    def recorder(self, seed: int, ticks: int) -> DeploymentRecorder:
         """What keeps and counts the ticks of the next episode.
 
         Args:
@@ -60,12 +59,12 @@ class KeptEpisodes(Closing):
             ticks: Most ticks that it will have.
         """
         self.idle.end()
-        return DurableRecorder(
+        return DeploymentRecorder(
             self._env,
             self._store,
             partial(self._ledger.reserve, "deployment", ticks, counted=True),
             self._ledger,
-            lambda told, entry: EpisodeHeader(0, told, "deployment", seed, entry),
+            lambda source, entry: EpisodeHeader(0, source, "deployment", seed, entry),
         )
 
     def close(self) -> None:
@@ -80,7 +79,7 @@ class Deployment:
     """A policy, a robot and an operator.
 
     Attributes:
-        actor: The policy.
+        trained: The policy.
         robot: The robot.
         operator: Who confirms, helps and labels.
         say: Prints a line.
@@ -92,7 +91,7 @@ class Deployment:
         log: What was logged; None before anything moves.
     """
 
-    actor: Actor
+    trained: TrainedPolicy
     robot: ChosenRobot
     operator: Operator
     say: Callable[[str], None]
@@ -116,7 +115,7 @@ class Deployment:
         """
         ask_human = self.operator.help if self.operator.present else None
         try:
-            with self.robot.make_env(self.actor.task.name, ask_human=ask_human) as env:
+            with self.robot.make_env(self.trained.task.name, ask_human=ask_human) as env:
                 env.driver.limit_speed(self.speed)
                 yield env
         except BaseException as error:
@@ -148,7 +147,7 @@ class Deployment:
             UserError: The robot could not go on, or the log cannot be written.
             DriverError: The robot was lost.
         """
-        path = out or default_deployment_path(self.actor.task.name)
+        path = out or default_deployment_path(self.trained.task.name)
         ticks = deployed_ticks(env.episode_ticks, self.speed)
         with ExitStack() as stack:
             self.log = stack.enter_context(DeploymentLog.create(path, self._header(env, plan)))
@@ -157,7 +156,7 @@ class Deployment:
                 seed = episode_seed(self.seed, Stream.FINAL_EVALUATION, index)
                 recorder = kept.recorder(seed, ticks)
                 record = run_deployed_episode(
-                    env, self.actor, self.log, recorder, seed=seed, ticks=ticks
+                    env, self.trained, self.log, recorder, seed=seed, ticks=ticks
                 )
                 kept.idle.begin()
                 self._judge(record)
@@ -182,9 +181,9 @@ class Deployment:
     def _header(self, env: GoalRobotEnv, plan: DeploymentPlan) -> dict[str, Any]:
         robot, spec = self.robot, env.robot_spec
         return {
-            "policy": str(self.actor.path),
-            "policy_sha256": file_digest(self.actor.path, "policy file"),
-            "task": self.actor.task.name,
+            "policy": str(self.trained.path),
+            "policy_sha256": file_digest(self.trained.path, "policy file"),
+            "task": self.trained.task.name,
             "robot": {"driver": robot.driver, "name": robot.name, "options": robot.options},
             "settings": {
                 "episodes": self.episodes,

@@ -69,6 +69,8 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
     What a step reports in `info`:
 
     - ``is_success``: 1.0 if the goal is reached, else 0.0.
+    - ``tick``: The control tick as a `Tick`, with the robot's own counter; the entries that follow
+      are parts of it.
     - ``action_applied``: The action that was really applied; learn from this one. It is
       the requested one, cut to [-1, 1], wherever nothing was clipped.
     - ``tick_valid``: Whether the tick may be learned from. A tick that was held, dropped or

@@ -18,10 +18,11 @@ NO_SOLUTION = "no_solution"
 
 
 @dataclass(frozen=True, eq=False)
-class Tick:
+class Tick:  # noqa: PLW1641 - compared, never hashed
     """One control tick.
 
     Attributes:
+        seq: The robot's own tick counter at its end.
         action_applied: The action that was really applied, in [-1, 1]; zeros if none was.
             ``(action_dim,)``
         valid: Whether it may be learned from: the command answered the state before, was in
@@ -34,6 +35,7 @@ class Tick:
         acceptance: What the robot said to the command, None if there was no command.
     """
 
+    seq: int
     action_applied: NDArray[np.float32]
     valid: bool
     elapsed: int
@@ -41,14 +43,29 @@ class Tick:
     late: bool
     acceptance: Acceptance | None
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both had the same outcome; the counter, which outlives resets, may differ."""
+        if not isinstance(other, Tick):
+            return NotImplemented
+        return np.array_equal(self.action_applied, other.action_applied) and all(
+            getattr(self, name) == getattr(other, name)
+            for name in ("valid", "elapsed", "clipped", "late", "acceptance")
+        )
+
+    @property
+    def refusal(self) -> str | None:
+        """Why the command was refused, ``"no_solution"`` where there was none, or None."""
+        return NO_SOLUTION if self.acceptance is None else self.acceptance.refusal
+
     def info(self) -> dict[str, object]:
-        """Return what an environment reports of it."""
+        """What the environment's ``info`` reports: the tick itself, and its parts by name."""
         return {
+            "tick": self,
             "action_applied": self.action_applied,
             "tick_valid": self.valid,
             "ticks": self.elapsed,
             "clipped": self.clipped,
-            "refusal": NO_SOLUTION if self.acceptance is None else self.acceptance.refusal,
+            "refusal": self.refusal,
         }
 
 
@@ -73,14 +90,14 @@ def judge_tick(
     action = np.asarray(requested, dtype=np.float32)
     if applied is None or applied.tick != after.seq or elapsed < 1:
         late = elapsed > 1 or _came_late(acceptance)
-        return Tick(np.zeros_like(action), False, max(1, elapsed), (), late, acceptance)
+        return Tick(after.seq, np.zeros_like(action), False, max(1, elapsed), (), late, acceptance)
     asked, action = action, controller.applied_action(action, applied, before)
     clipped = applied.clipped
     if not clipped and (action != asked).any():
         clipped = (CONTROLLER,)
     valid = elapsed == 1 and applied.command.answers == before.seq
     late = elapsed > 1 or (not valid and _came_late(acceptance))
-    return Tick(action, valid, elapsed, clipped, late, acceptance)
+    return Tick(after.seq, action, valid, elapsed, clipped, late, acceptance)
 
 
 def _came_late(acceptance: Acceptance | None) -> bool:

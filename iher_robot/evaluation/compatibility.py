@@ -1,4 +1,4 @@
-"""A policy from its file, ready to act, and what differs between its robot and another."""
+"""Compatibility of a trained policy with a robot: interface, body and controller."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ ACCEPT_INTERFACE = "--accept-interface"
 
 
 @dataclass(frozen=True)
-class Actor:
-    """A policy that acts.
+class TrainedPolicy:
+    """A trained policy from its file, ready to act.
 
     Attributes:
-        path: Where it was read.
-        file: What it fits and how it was trained.
-        task: What it was trained for, not bound to a robot.
+        path: Its file.
+        file: Content of the file: its interface and how it was trained.
+        task: The task that it was trained for, not bound to a robot.
         policy: Its networks, on the CPU.
     """
 
@@ -37,7 +37,7 @@ class Actor:
     policy: Policy
 
 
-def load_actor(path: Path, task: str | None = None) -> Actor:
+def load_trained_policy(path: Path, task: str | None = None) -> TrainedPolicy:
     """Read a policy and check that it acts.
 
     Args:
@@ -45,23 +45,23 @@ def load_actor(path: Path, task: str | None = None) -> Actor:
         task: The task that it is expected to be for; any where None.
 
     Raises:
-        UserError: The file is damaged, or is for another task, or holds nothing that acts.
+        UserError: The file is damaged, or is for another task, or its networks cannot act.
     """
     file = load_policy(path)
     asked = make_task(file.task if task is None else task)
     check_task(file, asked.name, asked.layout.digest())
-    return Actor(path, file, asked, _policy(file, path, asked))
+    return TrainedPolicy(path, file, asked, _policy(file, path, asked))
 
 
 def check_fit(
-    actor: Actor, env: GoalRobotEnv, *, accept_interface: bool = False
+    trained: TrainedPolicy, env: GoalRobotEnv, *, accept_interface: bool = False
 ) -> tuple[str, ...]:
-    """Refuse a robot of another interface; name what else differs.
+    """Refuse a robot with another interface; return what else differs.
 
     Args:
-        actor: The policy.
+        trained: The policy.
         env: The robot, not yet moving.
-        accept_interface: Take another interface all the same, unless the robot is physical.
+        accept_interface: Accept another interface, unless the robot is physical.
 
     Returns:
         A sentence for each difference that is accepted.
@@ -69,26 +69,26 @@ def check_fit(
     Raises:
         UserError: The interface differs and is not accepted, or the action has another length.
     """
-    file, spec = actor.file, env.robot_spec
-    found = interface_warnings(actor, env, accept_interface=accept_interface)
+    file, spec = trained.file, env.robot_spec
+    found = interface_warnings(trained, env, accept_interface=accept_interface)
     if file.body_digest != spec.body_digest:
         changed_names = _changed(_saved_body(file), spec.body())
         found.append(f"the policy was trained on another body, it differs in {changed_names}")
-    return (*found, *controller_warnings(actor, env))
+    return (*found, *controller_warnings(trained, env))
 
 
 def interface_warnings(
-    actor: Actor, env: GoalRobotEnv, *, accept_interface: bool = False
+    trained: TrainedPolicy, env: GoalRobotEnv, *, accept_interface: bool = False
 ) -> list[str]:
-    """Refuse a robot of another interface, or name what differs; see `check_fit`."""
-    file, spec = actor.file, env.robot_spec
+    """Refuse a robot with another interface, or return what differs; see `check_fit`."""
+    file, spec = trained.file, env.robot_spec
     found = []
     if file.interface_digest != spec.interface_digest:
         changed = _differences(file.spec, spec.to_dict(), spec.interface())
         if spec.physical or not accept_interface:
             advice = "train one on this robot"
             if not spec.physical:
-                advice += f", or run it all the same with {ACCEPT_INTERFACE}"
+                advice += f", or run it anyway with {ACCEPT_INTERFACE}"
             raise UserError(
                 f"{spec.name} has another interface than the policy was trained for: "
                 f"{'; '.join(changed)}; {advice}"
@@ -97,25 +97,25 @@ def interface_warnings(
             f"{spec.name} has another interface than the policy was trained for: {difference}"
             for difference in changed
         ]
-    if env.action_space.shape != (actor.policy.shapes.action_dim,):
+    if env.action_space.shape != (trained.policy.shapes.action_dim,):
         raise UserError(
-            f"{actor.path} holds a policy of {actor.policy.shapes.action_dim} action values, the "
-            f"robot takes {env.action_space.shape}; train it again"
+            f"{trained.path} holds a policy of {trained.policy.shapes.action_dim} action values, "
+            f"the robot takes {env.action_space.shape}; train it again"
         )
     return found
 
 
-def controller_warnings(actor: Actor, env: GoalRobotEnv) -> list[str]:
-    """Name what differs in the settings of the controller; empty if nothing does."""
-    trained, present = actor.file.controller, env.controller.settings
-    if trained == dict(present):
+def controller_warnings(trained: TrainedPolicy, env: GoalRobotEnv) -> list[str]:
+    """Return what differs in the settings of the controller; empty if nothing does."""
+    saved, present = trained.file.controller, env.controller.settings
+    if saved == dict(present):
         return []
-    changed_names = _changed(trained, present)
+    changed_names = _changed(saved, present)
     return [f"the policy was trained with another controller, it differs in {changed_names}"]
 
 
 def body_differences(file: PolicyFile, spec: RobotSpec) -> list[str]:
-    """Name what differs between a robot's body and the one that a policy was trained on.
+    """Return what differs between a robot's body and the one that a policy was trained on.
 
     Args:
         file: The policy.
@@ -141,7 +141,7 @@ def _saved_body(file: PolicyFile) -> dict[str, Json]:
 
 
 def _policy(file: PolicyFile, path: Path, task: GoalTask) -> Policy:
-    """Build the networks of a file whose seal says nothing of what its writer put in."""
+    """Build the networks of a policy file; its checksum does not say that they can act."""
     try:
         policy = Policy.from_snapshot(file.policy, device=torch.device("cpu"))
         observation = torch.zeros(1, task.layout.obs_dim)

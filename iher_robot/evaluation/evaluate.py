@@ -1,37 +1,53 @@
-"""Measure a policy over fresh episodes: the application behind ``iher-robot evaluate``."""
+"""Evaluate a policy over fresh episodes: the application behind ``iher-robot evaluate``."""
 
 from __future__ import annotations
 
-import io
+import math
 from collections.abc import Sequence
-from contextlib import ExitStack, closing, redirect_stderr
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import gymnasium as gym
-from scipy.stats import binomtest
+from statistics import NormalDist
 
 from iher_robot.config.robot import DEFAULT_DRIVER, ChosenRobot, choose_robot
-from iher_robot.env.goal_env import EpisodeAborted
 from iher_robot.errors import UserError
-from iher_robot.evaluation.compatibility import Actor, check_fit, load_actor
+from iher_robot.evaluation.compatibility import TrainedPolicy, check_fit, load_trained_policy
+from iher_robot.evaluation.official import OFFICIAL_IDS, OfficialEnv
 from iher_robot.evaluation.video import Film, film
-from iher_robot.learning.goal_model import REAL
-from iher_robot.rollout.episode import Stream, choose_action, episode_seed
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.episode import Stream, episode_seed, run_episode
+from iher_robot.rollout.observer import EpisodeEnv
+from iher_robot.rollout.recorder import EpisodeOutcome
 
 FILMED_EPISODES = 10
 """Episodes of an evaluation that a film shows, the first ones."""
 
-_OFFICIAL = {
-    "reach": "FetchReach-v4",
-    "push": "FetchPush-v4",
-    "pick_and_place": "FetchPickAndPlace-v4",
-    "slide": "FetchSlide-v4",
-}
-
-AnyEnv = gym.Env[Any, Any]
 _OFFICIAL_ROBOT = (DEFAULT_DRIVER, "fetch-mocap")
+
+
+def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a binomial proportion, by the score test without a correction for continuity.
+
+    Args:
+        successes: Trials that succeeded, from 0 to `trials`.
+        trials: At least 1.
+        confidence: Coverage, of both sides together.
+
+    Returns:
+        Its two ends, within 0 and 1.
+
+    Source:
+        E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+        Journal of the American Statistical Association 22 (1927), 209-212.
+    """
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    rate, weight = successes / trials, z**2 / trials
+    center = (rate + weight / 2) / (1 + weight)
+    half = z / (1 + weight) * math.sqrt(rate * (1 - rate) / trials + weight / (4 * trials))
+    # At the ends one side is exact, which the rounding of the formula would miss.
+    low = center - half if successes else 0.0
+    high = center + half if successes < trials else 1.0
+    return low, high
 
 
 def rate_with_interval(successes: int, episodes: int) -> str:
@@ -41,18 +57,18 @@ def rate_with_interval(successes: int, episodes: int) -> str:
         successes: Episodes that succeeded.
         episodes: Episodes run, at least 1.
     """
-    interval = binomtest(successes, episodes).proportion_ci(method="wilson")
+    low, high = wilson_interval(successes, episodes)
     share = f"{successes / episodes:.0%}"
-    return f"{share} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+    return f"{share} (95 % interval {low:.0%} to {high:.0%})"
 
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """What a policy did.
+    """Result of an evaluation.
 
     Attributes:
         task: The task.
-        environment: Where it ran.
+        environment: The environment that it ran in.
         successes: Episodes whose last step met the goal.
         episodes: Episodes run.
         warnings: What differs between the policy's robot and this one.
@@ -115,11 +131,11 @@ def evaluate(
         connect: Where to reach a robot on the network; what its file says where empty.
         task: The task that the policy is expected to be for; any where None.
         video: File to film the first episodes to.
-        accept_interface: Run a policy that was trained for another interface all the same, on
-            a simulated robot.
+        accept_interface: Run a policy that was trained for another interface anyway, on a
+            simulated robot.
 
     Returns:
-        What the policy did.
+        The result.
 
     Raises:
         UserError: Bad input, or a policy that does not fit the robot.
@@ -137,12 +153,12 @@ def evaluate(
             f"{named}, but the official environment is gymnasium-robotics' own simulation; leave "
             "out --driver and --robot, or --official"
         )
-    actor = load_actor(policy, task)
+    trained = load_trained_policy(policy, task)
     if official:
-        return _evaluate_officially(actor, episodes=episodes, seed=seed, video=video)
+        return _evaluate_officially(trained, episodes=episodes, seed=seed, video=video)
     return evaluate_on(
         choose_robot(driver, robot, connect),
-        actor,
+        trained,
         episodes=episodes,
         seed=seed,
         video=video,
@@ -152,7 +168,7 @@ def evaluate(
 
 def evaluate_on(
     robot: ChosenRobot,
-    actor: Actor,
+    trained: TrainedPolicy,
     *,
     episodes: int,
     seed: int,
@@ -163,81 +179,57 @@ def evaluate_on(
 
     Args:
         robot: The robot.
-        actor: The policy.
+        trained: The policy.
         episodes: How many episodes.
         seed: Decides starts and goals, apart from those of any training run.
         video: File to film the first episodes to.
-        accept_interface: Run it on another interface all the same, on a simulated robot.
+        accept_interface: Run it on another interface anyway, on a simulated robot.
 
     Returns:
-        What the policy did.
+        The result.
 
     Raises:
         UserError: A robot that the policy does not fit, or a film that cannot be made.
     """
     with ExitStack() as stack:
         shots = None if video is None else stack.enter_context(film(video))
-        env = stack.enter_context(robot.make_env(actor.task.name, _render_mode(video)))
-        warnings = check_fit(actor, env, accept_interface=accept_interface)
-        successes = _successes(env, actor, episodes, seed, shots)
-    return EvaluationResult(actor.task.name, robot.title, successes, episodes, warnings, video)
+        env = stack.enter_context(robot.make_env(trained.task.name, _render_mode(video)))
+        warnings = check_fit(trained, env, accept_interface=accept_interface)
+        successes = _successes(env, trained, episodes, seed, shots)
+    return EvaluationResult(trained.task.name, robot.title, successes, episodes, warnings, video)
 
 
 def _evaluate_officially(
-    actor: Actor, *, episodes: int, seed: int, video: Path | None
+    trained: TrainedPolicy, *, episodes: int, seed: int, video: Path | None
 ) -> EvaluationResult:
-    name = _OFFICIAL[actor.task.name]
+    name = OFFICIAL_IDS[trained.task.name]
     # The official environment has no specification of its own; this robot is its equal.
-    with choose_robot(*_OFFICIAL_ROBOT).make_env(actor.task.name) as equal:
-        warnings = check_fit(actor, equal, accept_interface=True)
+    with choose_robot(*_OFFICIAL_ROBOT).make_env(trained.task.name) as equal:
+        warnings = check_fit(trained, equal, accept_interface=True)
     with ExitStack() as stack:
         shots = None if video is None else stack.enter_context(film(video))
-        env = stack.enter_context(closing(_official_env(name, _render_mode(video))))
-        successes = _successes(env, actor, episodes, seed, shots)
-    return EvaluationResult(actor.task.name, name, successes, episodes, warnings, video)
+        env = stack.enter_context(closing(OfficialEnv(name, _render_mode(video))))
+        successes = _successes(env, trained, episodes, seed, shots)
+    return EvaluationResult(trained.task.name, name, successes, episodes, warnings, video)
 
 
 def _render_mode(video: Path | None) -> str | None:
     return None if video is None else "rgb_array"
 
 
-def _successes(env: AnyEnv, actor: Actor, episodes: int, seed: int, shots: Film | None) -> int:
-    return sum(
-        _episode(
+def _successes(
+    env: EpisodeEnv, trained: TrainedPolicy, episodes: int, seed: int, shots: Film | None
+) -> int:
+    actor, successes = PolicyActor(trained.policy), 0
+    for index in range(episodes):
+        outcome = EpisodeOutcome()
+        run_episode(
             env,
             actor,
+            outcome,
             seed=episode_seed(seed, Stream.FINAL_EVALUATION, index),
-            shots=shots if index < FILMED_EPISODES else None,
+            ticks=trained.task.episode_ticks,
+            observers=[shots] if shots is not None and index < FILMED_EPISODES else [],
         )
-        for index in range(episodes)
-    )
-
-
-def _official_env(name: str, render_mode: str | None) -> AnyEnv:
-    # Importing the package prints notices about environments that are not ours.
-    with redirect_stderr(io.StringIO()):
-        import gymnasium_robotics
-    gym.register_envs(gymnasium_robotics)
-    return gym.make(name, render_mode=render_mode)
-
-
-def _episode(env: AnyEnv, actor: Actor, *, seed: int, shots: Film | None) -> bool:
-    observation, _ = env.reset(seed=seed)
-    success = False
-    if shots is not None:
-        shots.take(env, success)
-    for _ in range(actor.task.episode_ticks):
-        action = choose_action(actor.policy, observation, REAL)[0].numpy()
-        try:
-            observation, _, _, truncated, info = env.step(action)
-        except EpisodeAborted:
-            success = False
-            break
-        success = bool(info["is_success"])
-        if shots is not None:
-            shots.take(env, success)
-        if truncated:
-            break
-    if shots is not None:
-        shots.linger()
-    return success
+        successes += outcome.success
+    return successes

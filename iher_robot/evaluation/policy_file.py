@@ -1,4 +1,4 @@
-"""The policy as a file: what it needs to act, what robot it fits, and how it was trained."""
+"""Policy file: networks, interface of the robot, and how they were trained."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _TYPES = {
 
 
 def save_policy(path: Path, policy: PolicyFile) -> None:
-    """Write a policy; after a crash the old file or the new one is there, whole.
+    """Write a policy file atomically.
 
     The file is what ``torch.save`` writes, for ``torch.load(path, weights_only=True)``, with a
     digest of its bytes in the archive's comment.
@@ -121,7 +121,7 @@ def _from_content(content: dict[str, Any], path: Path) -> PolicyFile:
 
 
 def _plain(value: Any, place: str) -> Any:
-    """Copy what ``weights_only`` can read, and refuse the rest when saving, not when loading."""
+    """Copy values that ``weights_only`` can read, and refuse others before they are saved."""
     if isinstance(value, torch.Tensor):
         # A view would drag its whole storage into the file.
         return value.detach().cpu().clone()
@@ -151,24 +151,24 @@ def _tensors(value: Any, place: str) -> Iterator[tuple[str, torch.Tensor]]:
             yield from _tensors(part, f"{place}[{index}]")
 
 
-def trained_policy(
+def make_policy_file(
     policy: Policy,
     env: GoalRobotEnv,
     config: RunConfig,
     provenance: Mapping[str, Any],
     row: Mapping[str, float],
 ) -> PolicyFile:
-    """Put a policy together with what it fits and how it came about.
+    """Make the content of a policy file.
 
     Args:
         policy: The policy.
-        env: The environment it was trained in.
+        env: The environment that it was trained in.
         config: Settings of the run.
-        provenance: Where the run comes from.
+        provenance: Command, commit and versions of the run.
         row: Metrics of the last epoch.
 
     Returns:
-        What to save.
+        The content, for ``save_policy``.
     """
     trained: dict[str, Any] = {
         "algo": config.algo,

@@ -1,4 +1,4 @@
-"""Evaluation episodes: no noise, success at the last step."""
+"""Success rate: evaluation episodes without noise, judged at their last step."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.progress import Progress
-from iher_robot.rollout.episode import Recorder, Stream, episode_seed, run_episode
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.episode import Stream, episode_seed, run_episode
+from iher_robot.rollout.recorder import Recorder
 
 
 class Outcome(Protocol):
-    """What became of an episode."""
+    """Outcome of an episode."""
 
     @property
     def success(self) -> bool:
@@ -41,7 +43,7 @@ RunSeeds = Callable[[Learner, Sequence[int]], Iterator[Outcome]]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy did in some episodes.
+    """Successes and data of evaluated episodes.
 
     Attributes:
         successes: Episodes whose last step met the goal.
@@ -63,11 +65,11 @@ def run_evaluation(
     outcomes: Iterable[Outcome],
     on_episode: Callable[[int], None] | None = None,
 ) -> Evaluation:
-    """Add up what a policy did.
+    """Add up the outcomes of episodes.
 
     Args:
-        outcomes: Runs an episode whenever it is asked for one.
-        on_episode: Told how many episodes are done.
+        outcomes: The outcomes; each episode runs when it is iterated.
+        on_episode: Called with the number of episodes done.
 
     Returns:
         Successes and the episodes.
@@ -88,17 +90,17 @@ def run_evaluation(
 def run_simulated(
     simulator: GoalRobotEnv, learner: Learner, seeds: Sequence[int]
 ) -> Iterator[Recorder]:
-    """Run episodes that cost nothing and are not kept, one after the other.
+    """Run episodes in one simulator, neither charged nor stored.
 
     Args:
-        simulator: Where.
+        simulator: The simulator.
         learner: Acts as it is now.
         seeds: Decide starts and goals.
     """
-    policy = learner.acting_policy(torch.device("cpu"))
+    actor = PolicyActor(learner.acting_policy(torch.device("cpu")))
     for seed in seeds:
         recorder = Recorder()
-        run_episode(simulator, policy, recorder, seed=seed, ticks=simulator.task.episode_ticks)
+        run_episode(simulator, actor, recorder, seed=seed, ticks=simulator.task.episode_ticks)
         yield recorder
 
 
@@ -110,14 +112,14 @@ def evaluate_learner(
     count: int,
     progress: Progress,
 ) -> dict[str, float]:
-    """Success rate without noise, and what the models make of the same episodes.
+    """Evaluate the success rate, and the models' errors on the same episodes.
 
     Args:
-        learner: After the epoch that is judged.
+        learner: The learner after the epoch.
         run_seeds: Runs the episodes.
         run_seed: Seed of the run.
         count: Episodes to run.
-        progress: Told how many are done.
+        progress: Called with the number of episodes done.
 
     Returns:
         Metrics.

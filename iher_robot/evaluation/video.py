@@ -1,4 +1,4 @@
-"""Films: frames in, an mp4 file out, with a word where the goal is reached."""
+"""Film of episodes: an mp4 file, with a mark while the goal is reached."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -16,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from drivers.rendering import RENDERERS
 from iher_robot.config.robot import ChosenRobot
 from iher_robot.errors import UserError
+from iher_robot.rollout.observer import EpisodeEnv, EpisodeObserver, EpisodeStart, Transition
 
 FRAMES_PER_SECOND = 25
 _LAST_FRAME_S = 0.6
@@ -28,8 +28,8 @@ _WORDS = "goal reached"
 Picture = NDArray[np.uint8]
 
 
-class Film:
-    """Takes pictures of an environment whose ``render_mode`` is ``"rgb_array"``.
+class Film(EpisodeObserver):
+    """Films the episodes of an environment whose ``render_mode`` is ``"rgb_array"``.
 
     Args:
         path: The file.
@@ -39,23 +39,28 @@ class Film:
     def __init__(self, path: Path, writer: Any) -> None:
         self._path = path
         self._writer = writer
+        self._env: EpisodeEnv | None = None
         self._last: Picture | None = None
 
-    def take(self, env: gym.Env[Any, Any], reached: bool) -> None:
-        """Add a picture.
+    def start(self, start: EpisodeStart) -> None:
+        """Add the picture of the start."""
+        self._env = start.env
+        self._take(reached=False)
 
-        Args:
-            env: What to take it of.
-            reached: Whether the goal is reached, which is drawn in.
-        """
-        picture = np.asarray(env.render(), dtype=np.uint8)
-        self._append(draw_reached(picture) if reached else picture)
+    def after_tick(self, transition: Transition) -> None:
+        """Add the picture after a tick."""
+        self._take(reached=transition.success)
 
-    def linger(self) -> None:
-        """Show the last picture for a while: it says how an episode ended."""
-        if self._last is not None:
+    def end(self, error: BaseException | None) -> None:
+        """Show the last picture for a while: it says how the episode ended."""
+        if error is None and self._last is not None:
             for _ in range(round(_LAST_FRAME_S * FRAMES_PER_SECOND)):
                 self._append(self._last)
+
+    def _take(self, *, reached: bool) -> None:
+        assert self._env is not None, "start comes first"
+        picture = np.asarray(self._env.render(), dtype=np.uint8)
+        self._append(draw_reached(picture) if reached else picture)
 
     def _append(self, picture: Picture) -> None:
         with _writing(self._path):
@@ -71,7 +76,7 @@ def film(path: Path) -> Iterator[Film]:
         path: The file to write; replaced if it exists.
 
     Yields:
-        Takes the pictures.
+        The film.
 
     Raises:
         UserError: The extra ``video`` is not installed, nothing can be rendered here, or the
@@ -97,7 +102,7 @@ def film(path: Path) -> Iterator[Film]:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Tell a film that cannot be written from whatever else may fail while it is made."""
+    """Turn an error of writing the film into a sentence; other errors pass."""
     try:
         yield
     except OSError as error:
@@ -106,7 +111,7 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def require_film_packages() -> None:
-    """Check that frames can be drawn and written here, as far as that shows without drawing one.
+    """Check that renderer and packages of films are installed, without drawing a frame.
 
     Raises:
         UserError: There is no renderer, or the extra ``video`` is not installed.
@@ -131,7 +136,7 @@ def require_film_packages() -> None:
 
 
 def require_film(robot: ChosenRobot, task: str) -> None:
-    """Draw a first picture, so that a run that cannot be filmed fails before it has begun.
+    """Draw one picture, so that a run that cannot be filmed fails before it begins.
 
     Args:
         robot: The robot to film, simulated.

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 
 from iher_robot.experiments.folder import hold_cell, tail
+from iher_robot.storage.files.atomic import write_atomically
 from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import read_result
@@ -48,13 +49,13 @@ class Order:
 
     Attributes:
         name: Name of the cell.
-        options: Options of ``iher-robot train`` for a new run, without its folder.
+        config: Its settings, the text of a config file.
         run: Folder of its run.
         log: Where to print to.
     """
 
     name: str
-    options: tuple[str, ...]
+    config: str
     run: Path
     log: Path
 
@@ -62,12 +63,17 @@ class Order:
         """The same for a process in another working folder."""
         return dataclasses.replace(self, run=self.run.absolute(), log=self.log.absolute())
 
+    @property
+    def config_path(self) -> Path:
+        """The config file that a new run begins with, beside the log."""
+        return self.log.with_suffix(".yaml")
+
     def words(self) -> list[str]:
-        """The words after ``iher-robot``: a new run, or on with one that was interrupted."""
+        """The words after ``iher-robot``: start a new run, or resume an interrupted one."""
         config = RunDirectory(self.run).config_path
         if config.exists() and config.stat().st_size:
             return ["train", "--resume", str(self.run), "--quiet"]
-        return ["train", *self.options, "--out", str(self.run), "--quiet"]
+        return ["train", "--config", str(self.config_path), "--out", str(self.run), "--quiet"]
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,7 @@ def run_order(
             return Outcome(order.name, "finished")
         if unwanted():
             return Outcome(order.name, "interrupted", "interrupted before it began")
+        write_atomically(order.config_path, lambda file: file.write(order.config.encode()))
         with order.log.open("ab") as log:
             process = _start(order.words(), lock, log)
     begin(process)

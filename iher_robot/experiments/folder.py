@@ -15,7 +15,7 @@ from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.experiments.metadata import cells_of, read_origin, write_origin
 from iher_robot.storage.files.atomic import read_file
-from iher_robot.storage.files.lock import LockFile, hold_patiently, read_note
+from iher_robot.storage.files.lock import LockFile, read_note, wait_for_lock
 from iher_robot.storage.run_directory import RunDirectory
 
 NOT_BEGUN = "not begun"
@@ -88,7 +88,7 @@ class ExperimentFolder:
             f"another process writes tables and report of {self.path}; wait for it, then "
             f"iher-robot report {shlex.quote(str(self.path))}"
         )
-        return hold_patiently(self.path / "report.lock", in_use, patience_s)
+        return wait_for_lock(self.path / "report.lock", in_use, patience_s)
 
     def _make(self) -> None:
         try:
@@ -200,9 +200,7 @@ def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0)
     Raises:
         FileHeld: It goes on.
     """
-    return hold_patiently(
-        path, f"an earlier process of {path.stem} still runs", patience_s, give_up
-    )
+    return wait_for_lock(path, f"an earlier process of {path.stem} still runs", patience_s, give_up)
 
 
 def tail(path: Path, lines: int = 5) -> list[str]:

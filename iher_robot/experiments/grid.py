@@ -13,7 +13,7 @@ from iher_robot.config.robot import DEFAULT_DRIVER
 from iher_robot.config.run import RunConfig, load_config, plain_identity
 from iher_robot.errors import UserError
 from iher_robot.experiments.manifest import Grid, Manifest
-from tasks import TaskError, canonical_name
+from tasks import TaskError
 
 _ABSENT = object()
 
@@ -88,12 +88,10 @@ class Cell:
     Attributes:
         identity: What tells it from the others.
         config: Its settings, resolved.
-        options: The options of ``iher-robot train`` that give these settings.
     """
 
     identity: Identity
     config: RunConfig
-    options: tuple[str, ...]
 
     @property
     def name(self) -> str:
@@ -189,22 +187,22 @@ def expand_grid(
 
 
 def _make_cell(choice: _Choice) -> Cell:
-    grid, task = choice.grid, canonical_name(choice.task)
-    overrides = [f"{key}={json.dumps(value)}" for key, value in choice.settings.items()]
-    given: dict[str, object] = {
-        "seed": choice.seed,
-        "device": grid.device,
-        "until_success": grid.until_success,
-    }
-    if grid.driver is not None:
-        given["driver"] = grid.driver
-    if choice.budget is not None:
-        given["budget_minutes"] = choice.budget
+    grid = choice.grid
     config = load_config(
-        task, choice.preset, choice.algo, overrides, given, grid.robot, grid.connect
+        choice.task,
+        preset=choice.preset,
+        algo=choice.algo,
+        overrides=[f"{key}={json.dumps(value)}" for key, value in choice.settings.items()],
+        driver=grid.driver,
+        robot=grid.robot,
+        connect=grid.connect,
+        budget_minutes=choice.budget,
+        seed=choice.seed,
+        device=grid.device,
+        until_success=grid.until_success,
     )
     identity = Identity(
-        task=task,
+        task=config.task,
         robot=config.chosen_robot.title,
         algo=choice.algo,
         preset=Path(choice.preset).stem,
@@ -212,23 +210,4 @@ def _make_cell(choice: _Choice) -> Cell:
         budget=choice.budget if len(grid.budgets) > 1 else None,
         seed=config.seed,
     )
-    return Cell(identity, config, tuple(_options(choice, task, overrides)))
-
-
-def _options(choice: _Choice, task: str, overrides: list[str]) -> Iterator[str]:
-    """Options of ``iher-robot train``, in the order of its help."""
-    grid = choice.grid
-    yield from ("--task", task)
-    if grid.driver is not None:
-        yield from ("--driver", grid.driver)
-    if grid.robot is not None:
-        yield from ("--robot", grid.robot)
-    for endpoint in grid.connect:
-        yield from ("--connect", endpoint)
-    if choice.budget is not None:
-        yield from ("--budget-minutes", repr(choice.budget))
-    yield from ("--preset", choice.preset, "--algo", choice.algo)
-    for override in overrides:
-        yield from ("--set", override)
-    until = "off" if grid.until_success is None else repr(grid.until_success)
-    yield from ("--seed", str(choice.seed), "--until-success", until, "--device", grid.device)
+    return Cell(identity, config)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
-from iher_robot.config.run import RunConfig, read_config
+from iher_robot.config.run import RunConfig, dump_config, read_config
 from iher_robot.errors import UserError, describe
 from iher_robot.experiments.cell_process import Order, Outcome
 from iher_robot.experiments.executor import Executor
@@ -111,7 +111,7 @@ class Running:
             if cell.name not in self.outcomes:
                 run, log = self.folder.run(cell.name).path, self.folder.log(cell.name)
                 self.folder.failure(cell.name).unlink(missing_ok=True)
-                order = Order(cell.name, cell.options, run, log)
+                order = Order(cell.name, dump_config(cell.config), run, log)
                 self._futures[self.executor.submit(order)] = cell.name
 
     def wait(self) -> None:

@@ -13,7 +13,7 @@ from drivers.gate import Fault
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import ACCOUNTS, Account
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal_line
+from iher_robot.storage.files.checksum import dump_checked, load_checked
 from iher_robot.storage.files.lock import FileHeld
 from iher_robot.storage.ledger import Entry, Ledger
 
@@ -84,7 +84,7 @@ class RobotMemory:
                 self._write(self._content | {"ticks": tick + _TICKS_AHEAD})
 
     def _write(self, content: dict[str, Any]) -> None:
-        data = seal_line(content)
+        data = dump_checked(content)
         write_atomically(self._path, lambda file: file.write(data))
         self._content = content
 
@@ -170,7 +170,7 @@ class RobotTotal(Closing):
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return open_line(read_file(path, "robot memory"), path, "robot memory")
+        return load_checked(read_file(path, "robot memory"), path, "robot memory")
     except UserError as error:
         raise UserError(
             f"{path} is damaged: it says whether the robot is stopped; look at the robot, then "

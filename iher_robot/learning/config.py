@@ -6,7 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from iher_robot.learning.networks.precision import Precision
+from iher_robot.learning.episode import MOVED_M
+
+Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
 
 
 def _none_if_off(value: object) -> object:
@@ -118,7 +120,7 @@ class ReplayConfig(Section):
     still_weight: float = Field(1.0, gt=0.0, le=1.0)
     """Sampling weight, against 1, of a transition whose episode's achieved goal never moved by
     more than ``moved_m``: there hindsight teaches little."""
-    moved_m: float = Field(0.01, gt=0.0)
+    moved_m: float = Field(MOVED_M, gt=0.0)
     """Displacement of the achieved goal, m, above which an episode counts as having moved it."""
     actions: Literal["applied", "between"] = "applied"
     """Actions to learn from: the applied ones; or any between the applied and the requested one,

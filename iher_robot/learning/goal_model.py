@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from iher_robot.learning.episode import MOVED_M, Episode
+
 Array = NDArray[np.floating]
 
 
@@ -32,6 +34,13 @@ class GoalModel(Protocol):
 
     def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
         """Goals for episodes with these starts. ``(batch, obs_dim) -> (batch, goal_dim)``"""
+
+
+def moved_goal(model: GoalModel, episode: Episode, threshold_m: float = MOVED_M) -> bool:
+    """Whether the achieved goal was ever farther from its start than the threshold."""
+    achieved = model.achieved_goal(torch.as_tensor(episode.observations))
+    displacement = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
+    return bool(displacement > threshold_m)
 
 
 @dataclass(frozen=True)

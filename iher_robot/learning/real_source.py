@@ -8,7 +8,7 @@ import torch
 
 from iher_robot.learning.config import ReplayConfig
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.goal_model import REAL, GoalModel, Shapes
+from iher_robot.learning.goal_model import REAL, GoalModel, Shapes, moved_goal
 from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
 from iher_robot.learning.transitions import Transitions
@@ -91,20 +91,17 @@ class RealSource:
         def batch_of_one(array: object) -> torch.Tensor:
             return torch.as_tensor(array, device=self.device).unsqueeze(0)
 
+        still = self.config.still_weight
         for segment in segments:
+            moved = moved_goal(self.goal_model, segment, self.config.moved_m)
             replay.add(
                 batch_of_one(segment.observations),
                 batch_of_one(segment.actions),
                 batch_of_one(segment.desired_goal),
                 epoch=epoch,
                 requested=batch_of_one(segment.requested_actions),
-                weight=1.0 if self._moved(segment) else self.config.still_weight,
+                weight=1.0 if moved else still,
             )
-
-    def _moved(self, segment: Episode) -> bool:
-        achieved = self.goal_model.achieved_goal(torch.as_tensor(segment.observations))
-        distance = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
-        return bool(distance > self.config.moved_m)
 
     def sample(self, count: int, replay: EpisodeReplay | None = None) -> Transitions:
         """Sample relabelled transitions, or their images where a symmetry is used.

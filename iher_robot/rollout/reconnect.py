@@ -1,4 +1,4 @@
-"""How long a run waits for a robot that it cannot have, and what it says meanwhile."""
+"""Reconnect policy: retries with growing pauses until a robot is back, or a timeout expires."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _GROWTH = 2.0
 
 
 class ReconnectPolicy:
-    """Waits for one robot, in pauses that grow.
+    """Waits between attempts to reach a robot, in pauses that grow.
 
     Args:
         driver: The robot.
-        minutes: Longest time to wait until it is back.
-        run: Folder of the run, which can be resumed later.
-        announce: Takes a line for the user.
+        minutes: Timeout until it is back.
+        run: The run folder, for advice in messages.
+        announce: Called with lines for the user.
         clock: This machine's clock, not the robot's.
     """
 
@@ -48,7 +48,7 @@ class ReconnectPolicy:
             error: Why the last one failed.
 
         Raises:
-            UserError: ReconnectPolicy is over.
+            UserError: The reconnect timeout expired.
         """
         now_ns = self._clock.now_ns()
         if self._since_ns is None:
@@ -69,7 +69,7 @@ class ReconnectPolicy:
         self._clock.sleep_until_ns(now_ns + round(pause_s * 1e9))
 
     def end(self) -> None:
-        """Take note that the robot is there; the next time patience is whole again."""
+        """Note that the robot is back; the next loss has the whole timeout again."""
         if self._since_ns is not None:
             self._announce(f"{self._driver.spec.name} is back, going on")
         self._since_ns = None
@@ -85,5 +85,5 @@ class ReconnectPolicy:
                 f"clears it (iher-robot clear-fault {shlex.quote(fault.name)})"
             )
         if isinstance(error, LeaseRefused):
-            return f"{name} is somebody else's now ({error})"
+            return f"{name} is leased by another client now ({error})"
         return f"{name} is lost ({error})"

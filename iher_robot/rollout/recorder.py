@@ -1,96 +1,90 @@
-"""Ticks of a robot that are written down: before each begins, and what became of it after."""
+"""Outcome and record of an episode, kept while it runs."""
 
 from __future__ import annotations
 
-import math
-import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
-
-from iher_robot.env.goal_env import GoalRobotEnv, Observation
-from iher_robot.errors import describe
-from iher_robot.rollout.episode import Recorder
-from iher_robot.rollout.timing import TickJitter
-from iher_robot.storage.episode import DONE, EpisodeHeader, RecordedTick
-from iher_robot.storage.episode_store import EpisodeStore
-from iher_robot.storage.ledger import Entry, Ledger
-
-RESET_AHEAD_S = 120.0
-"""Robot time that is written down before a reset: nobody knows how long it will take."""
+from iher_robot.env.goal_env import EpisodeAborted, Observation
+from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import REAL
+from iher_robot.rollout.observer import Action, EpisodeObserver, EpisodeStart, Transition
+from iher_robot.storage.episode import RecordedTick, make_episode
 
 
-class DurableRecorder(Recorder):
-    """Writes every tick down: that it begins before it does, and what became of it after.
+class EpisodeOutcome(EpisodeObserver):
+    """Ticks charged for an episode, and whether it succeeded; up to date at any moment.
 
-    A ``with`` block around the episode seals it and settles its account, whatever ends it.
-
-    Args:
-        env: The robot.
-        store: Keeps the ticks.
-        reserve: Reserves them.
-        ledger: Accounts of the run.
-        header: Makes the header from the source that the policy is told and the reservation.
-        jitter: Told of each state; None where nobody asks.
+    Attributes:
+        ticks: Control ticks charged so far; the one in flight counts, since the robot may have
+            moved in it.
+        success: Whether the last step met the goal; never so in an aborted episode.
+        aborted: Why the episode could not go on, empty if it could.
+        policy_source: Index of the replay source that the policy was conditioned on.
     """
 
-    def __init__(
-        self,
-        env: GoalRobotEnv,
-        store: EpisodeStore,
-        reserve: Callable[[], AbstractContextManager[Entry]],
-        ledger: Ledger,
-        header: Callable[[int, int], EpisodeHeader],
-        jitter: TickJitter | None = None,
-    ) -> None:
-        super().__init__()
-        self._driver = env.driver
-        self._period_ns = env.robot_spec.control_period_ns
-        self._store = store
-        self._reserve = reserve
-        self._ledger = ledger
-        self._header = header
-        self._jitter = jitter
-        self._stack = ExitStack()
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.success = False
+        self.aborted = ""
+        self.policy_source = REAL
 
-    def __enter__(self) -> DurableRecorder:
-        self._entry = self._stack.enter_context(self._reserve())
-        ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
-        self._reset: Entry | None = self._stack.enter_context(self._ledger.reserve("reset", ahead))
-        self._reset_begun_ns = self._driver.now_ns
-        return self
+    def start(self, start: EpisodeStart) -> None:
+        """Note what the policy is conditioned on."""
+        self.policy_source = start.policy_source
 
-    def __exit__(self, *_: object) -> None:
-        error = sys.exception()
-        ended = self.aborted or (DONE if error is None else describe(error))
-        with self._stack:
-            try:
-                self._settle_reset()
-            finally:
-                self._store.seal(ended)
-                self._entry.settle(self.ticks)  # last: a failure before it leaves what had begun
+    def before_tick(self, observation: Observation, action: Action) -> None:  # noqa: ARG002
+        """Charge the tick before it begins."""
+        self._charge(1)
 
-    def start(self, observation: Observation) -> None:
-        """Take the observation of a reset."""
-        super().start(observation)
-        if self._jitter is not None:
-            self._jitter.begin()
-        self._settle_reset()
-        header = self._header(self.policy_source, self._entry.number)
-        self._store.begin(header, observation["observation"], observation["desired_goal"])
+    def after_tick(self, transition: Transition) -> None:
+        """Charge ticks that passed unseen as well."""
+        self._charge(transition.info.get("ticks", 1) - 1)
+        self.success = transition.success
+
+    def abort(self, error: EpisodeAborted) -> None:
+        """Charge the tick that failed; the episode counts as a failure."""
+        self._charge(error.ticks - 1)
+        self.success = False
+        self.aborted = str(error)
 
     def _charge(self, ticks: int) -> None:
-        if ticks:
-            self._entry.begin(self.ticks + ticks)
-        super()._charge(ticks)
+        self.ticks += ticks
+
+
+class Recorder(EpisodeOutcome):
+    """Keeps every whole tick of an episode in memory."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._start: Observation | None = None
+        self._ticks: list[RecordedTick] = []
+
+    def start(self, start: EpisodeStart) -> None:
+        """Keep the observation of the reset."""
+        super().start(start)
+        self._start = start.observation
+
+    def after_tick(self, transition: Transition) -> None:
+        """Charge and record a tick."""
+        tick = transition.tick
+        self._charge(tick.elapsed - 1)
+        # One call: an interrupt finds the whole tick in the record, or nothing of it.
+        self._record(
+            RecordedTick(
+                observation=transition.next_observation["observation"],
+                action=tick.action_applied,
+                requested_action=transition.action,
+                valid=tick.valid,
+                seq=tick.seq,
+                elapsed=tick.elapsed,
+            )
+        )
+        self.success = transition.success
+
+    def episode(self) -> Episode | None:
+        """The ticks recorded whole, as an episode; None before the first."""
+        if self._start is None or not self._ticks:
+            return None
+        start = self._start
+        return make_episode(start["observation"], start["desired_goal"], self._ticks)
 
     def _record(self, tick: RecordedTick) -> None:
-        if self._jitter is not None:
-            self._jitter.tick(tick.elapsed)
-        super()._record(tick)
-        self._store.record(tick)
-
-    def _settle_reset(self) -> None:
-        entry, self._reset = self._reset, None  # not a second time, if the first is interrupted
-        if entry is not None:
-            elapsed_ns = self._driver.now_ns - self._reset_begun_ns
-            entry.settle(-(-elapsed_ns // self._period_ns))
+        self._ticks.append(tick)

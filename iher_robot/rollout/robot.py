@@ -1,8 +1,8 @@
-"""Episodes on a robot: each charged and kept, whatever ends it."""
+"""Episodes on a run's robot: charged, stored, and begun again after a lost connection."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from drivers import DriverError, FaultLatched, LeaseRefused, LinkLost, StaleState
@@ -10,9 +10,12 @@ from drivers.closing import Closing
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.exploration import Explorer
 from iher_robot.learning.policy import Policy
-from iher_robot.rollout.episode import Recorder, run_episode
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.durable_recorder import DurableRecorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.observer import EpisodeObserver
 from iher_robot.rollout.reconnect import ReconnectPolicy
-from iher_robot.rollout.recorder import DurableRecorder
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.timing import IdleMeter, TickJitter
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import EpisodeHeader
@@ -21,25 +24,32 @@ from iher_robot.storage.ledger import Entry, Ledger
 
 
 class RobotEpisodes(Closing):
-    """Runs the episodes of a run on its robot, and waits for it where it is lost.
+    """Runs the episodes of a run on its robot, and reconnects to it where it is lost.
 
     Args:
         env: The robot.
         store: Keeps the ticks of each episode.
         ledger: Accounts of the run.
-        patience: How long to wait.
+        reconnect: Waits between two attempts to reach the robot.
+        observers: Follow every episode.
 
     Attributes:
-        jitter: Of the ticks of motion.
+        jitter: Timing of the ticks of motion.
     """
 
     def __init__(
-        self, env: GoalRobotEnv, store: EpisodeStore, ledger: Ledger, patience: ReconnectPolicy
+        self,
+        env: GoalRobotEnv,
+        store: EpisodeStore,
+        ledger: Ledger,
+        reconnect: ReconnectPolicy,
+        observers: Sequence[EpisodeObserver] = (),
     ) -> None:
         self._env = env
         self._store = store
         self._ledger = ledger
-        self._patience = patience
+        self._reconnect = reconnect
+        self._observers = observers
         self._idle = IdleMeter(env.driver, ledger)
         self.jitter = TickJitter(env.driver)
 
@@ -57,7 +67,7 @@ class RobotEpisodes(Closing):
         """Run an episode; one that did not begin costs nothing, and is begun again.
 
         Args:
-            account: What its ticks are charged to.
+            account: Account that its ticks are charged to.
             reserve: Reserves them, once for each attempt.
             policy: A policy on the CPU.
             epoch: Epoch that it belongs to.
@@ -66,11 +76,11 @@ class RobotEpisodes(Closing):
             explorer: Disturbs the actions; None leaves them as they are.
 
         Returns:
-            What was recorded, at least one tick.
+            Its record, with at least one tick.
 
         Raises:
-            UserError: The robot cannot be reset, or did not come back in time, or nothing can be
-                written down.
+            UserError: The robot cannot be reset, or did not come back in time, or a record cannot
+                be written.
         """
         while True:
             self._idle.end()
@@ -78,25 +88,30 @@ class RobotEpisodes(Closing):
             with self._recorder(account, reserve, epoch, seed) as recorder:
                 try:
                     run_episode(
-                        self._env, policy, recorder, seed=seed, ticks=ticks, explorer=explorer
+                        self._env,
+                        PolicyActor(policy, explorer),
+                        recorder,
+                        seed=seed,
+                        ticks=ticks,
+                        observers=self._observers,
                     )
                 except DriverError as error:
                     if recorder.ticks or not self._may_come_back(error):
                         raise
                     lost = error
             if lost is None:
-                self._patience.end()
+                self._reconnect.end()
                 self._idle.begin()
                 return recorder
             self._env.close()  # others may have the robot meanwhile
-            self._patience.wait(lost)
+            self._reconnect.wait(lost)
 
     def still_idle(self) -> None:
-        """Note that the robot is waiting; to be called now and then while something computes."""
+        """Charge the robot's idle time so far; to be called now and then while learning."""
         self._idle.note()
 
     def close(self) -> None:
-        """End with the robot; closing twice does nothing."""
+        """Settle the idle time; closing twice does nothing."""
         self._idle.end()
 
     def _recorder(
@@ -111,11 +126,11 @@ class RobotEpisodes(Closing):
             self._store,
             reserve,
             self._ledger,
-            lambda told, entry: EpisodeHeader(epoch, told, account, seed, entry),
+            lambda source, entry: EpisodeHeader(epoch, source, account, seed, entry),
             self.jitter if account == "motion" else None,
         )
 
     def _may_come_back(self, error: DriverError) -> bool:
-        if isinstance(error, FaultLatched):  # of a robot of this process alone, nobody clears it
+        if isinstance(error, FaultLatched):  # nothing clears it on a robot of this process alone
             return self._env.driver.exclusive or self._env.robot_spec.physical
         return isinstance(error, LinkLost | LeaseRefused | StaleState)

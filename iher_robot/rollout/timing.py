@@ -1,4 +1,4 @@
-"""How evenly the control ticks of a robot in real time come."""
+"""Timing of a robot in real time: jitter of its control ticks, and idle time between episodes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 
 from drivers import RobotDriver
 from iher_robot.storage.ledger import Entry, Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 
 class TickJitter:
-    """Compares the time between two states with the control period, as this process sees it.
+    """Measures how far the time between two states is off the control period, in this process.
 
     Args:
-        driver: The robot. A simulation that is as fast as it can has no jitter.
+        driver: The robot. A simulation that does not keep real time has no jitter.
     """
 
     def __init__(self, driver: RobotDriver) -> None:
@@ -25,11 +26,11 @@ class TickJitter:
         self._missed = 0
 
     def begin(self) -> None:
-        """An episode begins; the state that it begins with may be older than a tick."""
+        """Begin an episode, whose first state may be older than a tick."""
         self._last_ns = None
 
     def tick(self, elapsed: int) -> None:
-        """A state arrived.
+        """Measure the state that arrived.
 
         Args:
             elapsed: Ticks since the one before.
@@ -44,7 +45,7 @@ class TickJitter:
         self._last_ns = now_ns
 
     def take(self) -> dict[str, float]:
-        """Metrics of the ticks since the last call, which are then forgotten; empty without any."""
+        """Return the metrics of the ticks since the last call; empty if there were none."""
         off_ms, missed = self._off_ms, self._missed
         self._off_ms, self._missed = [], 0
         if not off_ms:
@@ -58,13 +59,13 @@ class TickJitter:
 
 
 def describe_jitter(rows: Iterable[Mapping[str, float]]) -> str:
-    """How evenly the ticks of a run came, in words.
+    """Describe the jitter of a run.
 
     Args:
         rows: Metrics of its epochs.
 
     Returns:
-        One sentence, empty where no tick was measured.
+        A sentence; empty if no tick was measured.
     """
     measured = [row for row in rows if "tick_jitter_p99_ms" in row]
     if not measured:
@@ -78,42 +79,42 @@ def describe_jitter(rows: Iterable[Mapping[str, float]]) -> str:
 
 
 _AHEAD_S = 10.0
-"""How much more waiting is noted than has passed."""
+"""Idle time that is charged ahead."""
 _RESERVED_S = 60.0
-"""How much is written down at once."""
+"""Idle time that is reserved at once."""
 
 
 class IdleMeter:
-    """Charges the account ``idle`` with the time between two episodes of a robot in real time.
+    """Charges the time between two episodes of a robot in real time to the account ``idle``.
 
     Args:
-        driver: The robot. A simulation that is as fast as it can has no idle time.
+        driver: The robot. A simulation that does not keep real time has no idle time.
         ledger: Accounts of the run.
     """
 
     def __init__(self, driver: RobotDriver, ledger: Ledger) -> None:
         self._driver = driver
         self._ledger = ledger
-        self._period_ns = driver.spec.control_period_ns
+        self._period_s = driver.spec.control_period_s
         self._stack = ExitStack()
         self._entry: Entry | None = None
         self._since_ns = 0
 
     def begin(self) -> None:
-        """The robot waits from now on."""
+        """Start idling."""
         if self._driver.paces_itself and self._entry is None:
             self._since_ns = self._driver.now_ns
-            reserved = max(1, round(_RESERVED_S * 1e9 / self._period_ns))
+            reserved = RobotTime.from_seconds(_RESERVED_S, self._period_s).ticks
             self._entry = self._stack.enter_context(
                 self._ledger.reserve("idle", reserved, counted=True)
             )
             self.note()
 
     def note(self) -> None:
-        """Note how long it has waited, and some time ahead; a crash leaves that counted."""
+        """Charge the idle time so far, and some ahead, so that a crash leaves it counted."""
         if self._entry is None:
             return
-        noted = self._ticks() + round(_AHEAD_S * 1e9 / self._period_ns)
+        noted = self._ticks() + RobotTime.from_seconds(_AHEAD_S, self._period_s).ticks
         if noted > self._entry.reserved_ticks:
             self.end()
             self.begin()
@@ -121,11 +122,11 @@ class IdleMeter:
             self._entry.begin(noted)
 
     def end(self) -> None:
-        """It waits no longer."""
+        """Stop idling, and settle the time."""
         entry, self._entry = self._entry, None
         if entry is not None:
             entry.settle(self._ticks())
             self._stack.close()
 
     def _ticks(self) -> int:
-        return -(-(self._driver.now_ns - self._since_ns) // self._period_ns)
+        return RobotTime.from_ns(self._driver.now_ns - self._since_ns, self._period_s).ticks

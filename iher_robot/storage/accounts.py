@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.lock import read_note
-from iher_robot.storage.files.sqlite import Database, Format, row_seal
+from iher_robot.storage.files.sqlite import Database, Format, row_checksum
 
 Account = Literal["motion", "reset", "idle", "evaluation", "deployment"]
 ACCOUNTS: tuple[Account, ...] = get_args(Account)
@@ -72,7 +72,7 @@ class Accounts:
     ) -> tuple[Any, ...]:
         """The row that an entry would have."""
         content = (self.last + 1, kind, account, reservation, ticks)
-        return (*content, row_seal(self.seal, *content))
+        return (*content, row_checksum(self.seal, *content))
 
     def take(self, row: tuple[Any, ...]) -> None:
         """Add an entry.
@@ -81,7 +81,7 @@ class Accounts:
             ValueError: It is not the next one, or not as it was written.
         """
         number, kind, account, reservation, ticks, seal = row
-        if number != self.last + 1 or seal != row_seal(self.seal, *row[:-1]):
+        if number != self.last + 1 or seal != row_checksum(self.seal, *row[:-1]):
             raise ValueError(f"entry {number} is not as it was written")
         if kind == "reserve":
             self.spent[account] += ticks

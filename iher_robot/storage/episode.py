@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.accounts import ACCOUNTS, Account
-from iher_robot.storage.files.atomic import check_seal, seal_zip
+from iher_robot.storage.files.checksum import add_zip_checksum, check_zip
 
 DONE = "done"
 """How an episode ended that nothing cut short."""
@@ -186,7 +186,7 @@ class StoredEpisode(EpisodeHeader):
             elapsed=self.elapsed,
             **{name: getattr(self.episode, name) for name in _ARRAYS},
         )
-        return seal_zip(buffer.getvalue())
+        return add_zip_checksum(buffer.getvalue())
 
 
 def make_episode(
@@ -219,7 +219,7 @@ def read_episode(path: Path, sealed: bytes, index: int) -> StoredEpisode:
     Raises:
         UserError: It is truncated, damaged, or another episode's.
     """
-    check_seal(sealed, path, "episode file")
+    check_zip(sealed, path, "episode file")
     try:
         with np.load(io.BytesIO(sealed), allow_pickle=False) as file:
             stored = StoredEpisode(

@@ -20,7 +20,7 @@ from iher_robot.storage.episode import (
     pack_array,
     unpack_array,
 )
-from iher_robot.storage.files.sqlite import Database, Format, row_seal
+from iher_robot.storage.files.sqlite import Database, Format, row_checksum
 
 INDEX = Format(
     kind="episode index",
@@ -123,7 +123,7 @@ class EpisodeIndex(Closing):
         with self._database.transaction():
             self._clear()
             self._database.execute(
-                "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_seal(*row))
+                "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_checksum(*row))
             )
             for number, tick in enumerate(running.ticks):
                 self._insert(number, tick)
@@ -151,7 +151,9 @@ class EpisodeIndex(Closing):
         row = (len(self.digests), digest)
         self._database.durable(True)
         with self._database.transaction():
-            self._database.execute("INSERT INTO episode VALUES (?, ?, ?)", (*row, row_seal(*row)))
+            self._database.execute(
+                "INSERT INTO episode VALUES (?, ?, ?)", (*row, row_checksum(*row))
+            )
             self._clear()
         self._take([digest])
         self._database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -183,7 +185,7 @@ class EpisodeIndex(Closing):
         record = tick.as_record(self._kind if number else None)
         self._kind = record.dtype
         row = (number, record.tobytes() if number else pack_array(record))
-        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
+        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_checksum(*row)))
 
     def _clear(self) -> None:
         self._database.execute("DELETE FROM running")
@@ -201,7 +203,7 @@ class EpisodeIndex(Closing):
         if not rows:
             return None
         index, header, observation, desired_goal, seal = rows[0]
-        if len(rows) > 1 or index != len(self.digests) or seal != row_seal(*rows[0][:-1]):
+        if len(rows) > 1 or index != len(self.digests) or seal != row_checksum(*rows[0][:-1]):
             raise self._damaged()
         try:
             return Running(
@@ -216,7 +218,7 @@ class EpisodeIndex(Closing):
 
     def _require_whole(self, rows: Sequence[tuple[object, ...]]) -> None:
         for number, row in enumerate(rows):
-            if row[0] != number or row[-1] != row_seal(*row[:-1]):
+            if row[0] != number or row[-1] != row_checksum(*row[:-1]):
                 raise self._damaged()
 
     def _damaged(self) -> UserError:

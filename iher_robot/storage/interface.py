@@ -9,7 +9,7 @@ from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 _NAME = "interface.json"
 _MUST_AGREE = ("task", "layout_digest", "interface_digest")
@@ -33,7 +33,7 @@ def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
         directory.mkdir(exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
-    text = json.dumps(seal(interface), indent=1) + "\n"
+    text = json.dumps(add_checksum(interface), indent=1) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
@@ -44,7 +44,7 @@ def read_interface(directory: Path) -> dict[str, Any]:
         UserError: It is missing or damaged.
     """
     path = directory / _NAME
-    return open_line(read_file(path, "interface file"), path, "interface file")
+    return load_checked(read_file(path, "interface file"), path, "interface file")
 
 
 def require_same_interface(directory: Path, interface: Mapping[str, Any]) -> None:

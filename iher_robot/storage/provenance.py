@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 UNKNOWN = "unknown"
 _DISTRIBUTIONS = ("iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
@@ -54,7 +54,7 @@ def write_provenance(path: Path, provenance: dict[str, Any]) -> None:
     if path.exists():
         document = read_provenance(path)
         document.setdefault("resumed", []).append(provenance)
-    text = json.dumps(seal(document), indent=2) + "\n"
+    text = json.dumps(add_checksum(document), indent=2) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
@@ -64,7 +64,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
     Raises:
         UserError: It is missing or damaged.
     """
-    return open_line(read_file(path, "provenance file"), path, "provenance file")
+    return load_checked(read_file(path, "provenance file"), path, "provenance file")
 
 
 def versions() -> dict[str, str]:

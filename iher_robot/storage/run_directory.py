@@ -12,7 +12,7 @@ from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal_line
+from iher_robot.storage.files.checksum import dump_checked, load_checked
 
 Row = Mapping[str, Any]
 
@@ -118,7 +118,7 @@ class RunDirectory:
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        line = seal_line(_plain(row))
+        line = dump_checked(_plain(row))
         try:
             with self.metrics_path.open("a+b") as file:
                 _drop_torn_line(file.fileno())
@@ -139,13 +139,13 @@ class RunDirectory:
             return []
         *lines, _ = read_file(self.metrics_path, "metrics file").split(b"\n")
         return [
-            open_line(line, f"{self.metrics_path}, line {number},", "metrics")
+            load_checked(line, f"{self.metrics_path}, line {number},", "metrics")
             for number, line in enumerate(lines, start=1)
         ]
 
     def replace_metrics(self, rows: Sequence[Row]) -> None:
         """Write all lines of the metrics anew, as a checkpoint has them."""
-        text = b"".join(seal_line(_plain(row)) + b"\n" for row in rows)
+        text = b"".join(dump_checked(_plain(row)) + b"\n" for row in rows)
         write_atomically(self.metrics_path, lambda file: file.write(text))
 
 

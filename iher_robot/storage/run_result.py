@@ -8,7 +8,7 @@ from pathlib import Path
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def write_result(path: Path, result: RunResult) -> None:
     Raises:
         UserError: The system refuses, such as on a full disk.
     """
-    text = json.dumps(seal(asdict(result)), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(add_checksum(asdict(result)), indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
@@ -52,7 +52,7 @@ def read_result(path: Path) -> RunResult | None:
     """
     if not path.exists():
         return None
-    content = open_line(read_file(path, "result file"), path, "result file")
+    content = load_checked(read_file(path, "result file"), path, "result file")
     try:
         return RunResult(**content)
     except TypeError:

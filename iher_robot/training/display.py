@@ -1,4 +1,4 @@
-"""Progress of a training run: one live display on a terminal, a line an epoch elsewhere."""
+"""Terminal display of a training run: live on a terminal, one line an epoch elsewhere."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import datetime
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import TracebackType
 
@@ -17,7 +17,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-Row = Mapping[str, float]
+from iher_robot.training.listener import Row, RunListener
 
 UNKNOWN = "-"
 _PACE_EPOCHS = 5
@@ -27,8 +27,8 @@ _LABEL_WIDTH = 13
 _REMARK_WIDTH = 60
 
 
-class TrainingDisplay:
-    """Shows how far a run is and whether it learns.
+class TrainingDisplay(RunListener):
+    """Shows progress and success of a run.
 
     Example:
         >>> with TrainingDisplay(40.0, title="push") as display:
@@ -81,8 +81,8 @@ class TrainingDisplay:
         )
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
-        """Leave the terminal to a question."""
+    def question(self) -> Iterator[None]:
+        """Pause the live display while the terminal shows a question."""
         self._live.__exit__(None, None, None)
         try:
             yield
@@ -109,9 +109,9 @@ class TrainingDisplay:
         if self.enabled:
             self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    def resume(self, row: Row) -> None:
+    def resume(self, rows: Sequence[Row]) -> None:
         """Take over the last row of a run that goes on; time counts from here."""
-        self._remember(row)
+        self._remember(rows[-1])
         self._history.clear()
         self._history.append((self._clock(), self._used))
 
@@ -120,7 +120,7 @@ class TrainingDisplay:
         self._used = used
 
     def phase(self, name: str, done: int, total: int) -> None:
-        """Say what the run is doing; cheap enough for every update.
+        """Show the phase; cheap enough for every update.
 
         Args:
             name: Such as ``"collect"``, ``"dynamics"``, ``"imagine"``, ``"update"``,

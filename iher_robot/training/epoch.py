@@ -1,8 +1,8 @@
-"""An epoch on its way from the robot to the learner and back."""
+"""Data of an epoch, from the robot to the learner, and the metrics that come back."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from iher_robot.learning.episode import Episode
@@ -11,49 +11,34 @@ Row = dict[str, float]
 
 
 @dataclass
-class CollectedEpoch:
-    """Real episodes that nothing was learned from yet.
+class EpochData:
+    """Real episodes of an epoch, for the learner.
 
     Attributes:
-        number: Of the epoch, from 1.
-        episodes: So far.
-        ticks: Charged for them.
+        number: Number of the epoch, from 1.
+        episodes: Its real episodes so far.
+        ticks: Control ticks charged for them.
         earlier: Whether they are of earlier runs.
+        evaluate: Whether the policy is evaluated after learning from them.
+        metrics: Metrics that are known before learning.
     """
 
     number: int
     episodes: list[Episode] = field(default_factory=list)
     ticks: int = 0
     earlier: bool = False
+    evaluate: bool = False
+    metrics: Row = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class EpochData:
-    """What the learner is given of an epoch.
+class LearnedEpoch:
+    """An epoch that was learned.
 
     Attributes:
-        epoch: Its number, from 1.
-        episodes: Its real episodes.
-        evaluate: Whether the policy is to be judged afterwards.
-        known: Metrics that are known before.
-        earlier: Whether the episodes are of earlier runs.
+        data: What was learned from.
+        metrics: Metrics of learning, and of an evaluation in simulation.
     """
 
-    epoch: int
-    episodes: Sequence[Episode]
-    evaluate: bool
-    known: Mapping[str, float]
-    earlier: bool
-
-
-@dataclass(frozen=True)
-class Learned:
-    """What the learner made of it.
-
-    Attributes:
-        lesson: What it was given.
-        metrics: Of learning, and of an evaluation in simulation.
-    """
-
-    lesson: EpochData
+    data: EpochData
     metrics: Mapping[str, float]

@@ -1,4 +1,4 @@
-"""What a run folder holds, checked before a run goes on from it."""
+"""Recovery of a stopped run: its state, read from the run folder and checked."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from iher_robot.storage.episode import DONE, StoredEpisode
 from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
-from iher_robot.training.epoch import CollectedEpoch
+from iher_robot.training.epoch import EpochData
 
 
 @dataclass(frozen=True)
 class Restored:
-    """State of a run at its last checkpoint, and what came after.
+    """State of a run at its last checkpoint, and the episodes since.
 
     Attributes:
-        learner: What ``Learner.state_dict`` returned, None before the first checkpoint.
+        learner: State of the learner, None before the first checkpoint.
         rows: Metrics of the finished epochs.
         by_epoch: Real episodes of each finished epoch, those of earlier runs in the first.
-        pending: What was collected since, in order; nothing was learned from it.
+        pending: Epochs collected since, in order, and not learned from yet.
         collected: Real episodes that this run collected.
     """
 
     learner: dict[str, Any] | None
     rows: list[dict[str, float]]
     by_epoch: list[list[Episode]]
-    pending: list[CollectedEpoch]
+    pending: list[EpochData]
     collected: int
 
 
@@ -84,7 +84,7 @@ def restore(
             f"but there are episodes of epoch {newest}; put the newest one back"
         )
     pending = [
-        CollectedEpoch(number, by_epoch[number], ticks[number])
+        EpochData(number, by_epoch[number], ticks[number])
         for number in range(finished + 1, newest + 1)
     ]
     if state is None:

@@ -1,8 +1,9 @@
-"""What a training run works with: the robot, a simulator to evaluate in, and the learner."""
+"""Setup of a training run: robot, simulators for evaluation, learner and budget."""
 
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.rollout.simulators.pool import SimulatorPool
-from iher_robot.storage.budget import budget_ticks
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training.learners.process_group import PeerGroup
 from iher_robot.training.learners.torchrun import read_torchrun_rank
 from tasks import GoalTask
@@ -29,16 +30,16 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class TrainingSetup:
-    """Robot and learner of a run.
+    """Robot, simulators and learner of a run.
 
     Attributes:
         config: Settings of the run.
         env: The robot.
         simulator: Where the policy is evaluated free of charge; None where the robot is physical,
             or another driver with the same options would move the same one.
-        pool: Simulators beside each other; None where one is enough.
-        learner: The learner; in an asynchronous run a copy that acts, on the CPU.
-        budget_ticks: Control ticks that the budget grants.
+        pool: Several simulators in parallel; None where one is enough.
+        learner: The learner; in an asynchronous run the copy that acts, on the CPU.
+        budget: The configured budget.
         group: Processes of ``torchrun`` that learn together; None where this one learns alone.
     """
 
@@ -47,24 +48,20 @@ class TrainingSetup:
     simulator: GoalRobotEnv | None
     pool: SimulatorPool | None
     learner: Learner
-    budget_ticks: int
+    budget: RobotTime
     group: PeerGroup | None = None
 
-    def minutes_of(self, ticks: int) -> float:
-        """Robot minutes of so many control ticks."""
-        return ticks * self.env.driver.spec.control_period_s / 60.0
-
-    def meaning_of_budget(self, budget_ticks: int, spent_ticks: int) -> str:
-        """What the budget asks of the robot, in one sentence.
+    def describe_budget(self, total: RobotTime, spent: RobotTime) -> str:
+        """Describe what the budget means for the robot, in one sentence.
 
         Args:
-            budget_ticks: Ticks of motion that the run may spend, granted ones included.
-            spent_ticks: Those that it has spent.
+            total: Motion that the run may spend, grants included.
+            spent: Motion that it has spent.
         """
         per_episode = self.env.task.episode_ticks
-        left_ticks = max(0, budget_ticks - spent_ticks)
-        episodes = -(-left_ticks // per_episode)
-        period_ms = self.env.driver.spec.control_period_s * 1e3
+        left = total.minus(spent)
+        episodes = math.ceil(left.ticks / per_episode)
+        period_ms = left.control_period_s * 1e3
         place = (
             "on a simulator of its own, free of charge"
             if self.simulator is not None
@@ -72,19 +69,19 @@ class TrainingSetup:
         )
         evaluations = self._evaluations(episodes)
         evaluated = evaluations * self.evaluation_episodes
-        what = f"{self.minutes_of(left_ticks):.4g} robot minutes"
-        if spent_ticks:
-            what += f" of {self.minutes_of(budget_ticks):.4g} are left, which"
+        what = f"{left.minutes:.4g} robot minutes"
+        if spent.ticks:
+            what += f" of {total.minutes:.4g} are left, which"
         sentence = (
-            f"{what} are {left_ticks:,} ticks of {period_ms:g} ms: {episodes:,} episodes of up to "
+            f"{what} are {left.ticks:,} ticks of {period_ms:g} ms: {episodes:,} episodes of up to "
             f"{per_episode}, each with a reset; "
             f"evaluation runs {place}, {self.evaluation_episodes:,} episodes each time, about "
             f"{evaluated:,} in all"
         )
         if not self.env.driver.paces_itself:
             return sentence
-        motion = _wall_time(left_ticks * period_ms / 1e3)
-        evaluation = _wall_time(evaluated * per_episode * period_ms / 1e3)
+        motion = _wall_time(left.seconds)
+        evaluation = _wall_time(left.with_ticks(evaluated * per_episode).seconds)
         return (
             f"{sentence}; the robot moves in real time: about {motion} for the budget and "
             f"{evaluation} for evaluation, resets and learning not counted"
@@ -103,19 +100,19 @@ class TrainingSetup:
 
     def _evaluations(self, episodes: int) -> int:
         """How often a run that spends its budget in whole episodes is evaluated."""
-        epochs = -(-episodes // self.config.learner.schedule.real_episodes)
-        return -(-epochs // self.config.evaluation.every_epochs)  # the last epoch always is
+        epochs = math.ceil(episodes / self.config.learner.schedule.real_episodes)
+        return math.ceil(epochs / self.config.evaluation.every_epochs)  # the last one always is
 
 
 @contextmanager
 def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
-    """Make robot and learner, and leave the robot held and disarmed in the end.
+    """Make robot, simulators and learner; the robot is held and disarmed in the end.
 
     Args:
         config: Settings of the run.
 
     Yields:
-        The workcell.
+        The setup.
 
     Raises:
         UserError: A setting that this machine, this robot or ``torchrun`` cannot meet.
@@ -132,17 +129,17 @@ def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
         learner = make_learner(
             config, env.task, CPU if config.asynchronous else device, group or ALONE
         )
-        ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
-        yield TrainingSetup(config, env, simulator, pool, learner, ticks, group)
+        budget = RobotTime.from_minutes(config.budget_minutes, env.driver.spec.control_period_s)
+        yield TrainingSetup(config, env, simulator, pool, learner, budget, group)
 
 
 def _make_group(config: RunConfig) -> PeerGroup | None:
-    place = read_torchrun_rank()
-    if place is None:
+    rank = read_torchrun_rank()
+    if rank is None:
         return None
-    if place.rank:
+    if rank.rank:
         raise UserError(
-            f"this is process {place.rank} of torchrun, which only learns, and has no robot; start "
+            f"this is process {rank.rank} of torchrun, which only learns, and has no robot; start "
             "the command itself: torchrun ... -m iher_robot train ..."
         )
     if config.asynchronous:
@@ -150,16 +147,16 @@ def _make_group(config: RunConfig) -> PeerGroup | None:
             "with --async one process learns while the robot moves, with torchrun several learn "
             "in turn with it; leave out one of the two"
         )
-    return PeerGroup(place)
+    return PeerGroup(rank)
 
 
 def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> SimulatorPool | None:
-    """Make simulators beside each other, if there are to be more than one.
+    """Make the pool of simulators, if there is more than one.
 
     Args:
         config: Settings of the run.
         env: Its robot.
-        stack: Ends them.
+        stack: Closes them.
 
     Raises:
         UserError: The robot is no simulated one of this program, of which there can be several.
@@ -177,11 +174,11 @@ def open_pool(config: RunConfig, env: GoalRobotEnv, stack: ExitStack) -> Simulat
 
 
 def seeds_runner(simulator: GoalRobotEnv, pool: SimulatorPool | None) -> RunSeeds:
-    """What runs episodes free of charge.
+    """Return what runs uncharged episodes.
 
     Args:
-        simulator: Runs one after the other,
-        pool: unless there is this, which runs them side by side.
+        simulator: Runs them one after the other,
+        pool: or, where there is one, in parallel.
     """
     return partial(run_simulated, simulator) if pool is None else pool.run
 
@@ -195,7 +192,7 @@ def make_learner(
         config: Settings of the run.
         task: The task, bound to the robot.
         device: Where replay, models and policy live.
-        peers: Learners with which it shares every batch.
+        peers: Learners that share every batch with it.
 
     Raises:
         UserError: A setting asks for what the task does not declare, or for batches that cannot

@@ -6,19 +6,26 @@ import datetime
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-from torch.utils.tensorboard import SummaryWriter
+from typing import Any, Unpack
 
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.config.run import change_simulators, dump_config, load_config, read_config
+from iher_robot.config.run import (
+    RunConfig,
+    RunOptions,
+    change_simulators,
+    check_options,
+    dump_config,
+    load_config,
+    read_config,
+)
 from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
-from iher_robot.evaluation.compatibility import check_fit, load_actor
+from iher_robot.evaluation.compatibility import check_fit, load_trained_policy
 from iher_robot.evaluation.evaluate import FILMED_EPISODES, EvaluationResult, evaluate_on
 from iher_robot.evaluation.success_rate import run_evaluation
 from iher_robot.evaluation.video import require_film
@@ -32,10 +39,10 @@ from iher_robot.storage.provenance import collect_provenance
 from iher_robot.storage.run_directory import RunDirectory, default_run_path
 from iher_robot.storage.run_result import RunResult, write_result
 from iher_robot.training.display import TrainingDisplay
+from iher_robot.training.listener import RunListener, RunListeners, SuccessPlot
 from iher_robot.training.loop import TrainingRun
 from iher_robot.training.setup import TrainingSetup, open_training_setup
 from iher_robot.training.warm_start import check_sources, copy_sources
-from tasks import canonical_name
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class TrainResult:
         plot: The plot of success against robot minutes.
         robot: The robot of the run.
         video: The film of the final policy, if there is one.
-        ticks: How evenly the control ticks came, in words; empty in simulation.
+        ticks: Timing of the control ticks, as a sentence; empty in simulation.
     """
 
     directory: Path
@@ -94,47 +101,26 @@ class TrainResult:
 
 
 def train(
+    config: RunConfig | None = None,
     *,
-    task: str,
-    driver: str | None = None,
-    robot: str | None = None,
-    connect: Sequence[str] = (),
-    preset: str = "default",
-    algo: str = "iher",
-    budget_minutes: float | None = None,
-    overrides: Sequence[str] = (),
-    seed: int = 0,
+    task: str | None = None,
     out: Path | None = None,
-    until_success: float | None = 1.0,
-    device: str = "auto",
-    asynchronous: bool | None = None,
-    simulators: int | None = None,
     display: bool = True,
     video: bool = False,
-    from_data: Sequence[str | Path] = (),
+    **options: Unpack[RunOptions],
 ) -> TrainResult:
     """Learn a task within a budget of robot minutes.
 
+    Either with settings, as `load_config` and `read_config` return them, or with a task and the
+    options of ``iher-robot train``: ``train(task="push", budget_minutes=10)``.
+
     Args:
-        task: Name of the task.
-        driver: Name of the robot driver; by default what the robot's file names, or ``mujoco``.
-        robot: Name of a robot, or the path of a YAML file; the driver's default where None.
-        connect: Where to reach a robot on the network; what its file says where empty.
-        preset: Name of a preset, or the path of a YAML file.
-        algo: ``iher``, or a model-free baseline.
-        budget_minutes: Robot minutes to spend; the preset's where None.
-        overrides: Settings to change, ``key=value`` each.
-        seed: Decides every random draw.
+        config: Settings of the run.
+        task: Name of the task, instead of a config.
         out: Run folder to make; by default a new one under ``runs``.
-        until_success: Stop when the last two evaluations reach this rate; None never stops.
-        device: Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``.
-        asynchronous: Learn in a process of its own while the robot moves; as the preset says,
-            usually in turn with it, where None.
-        simulators: Simulated robots side by side; as the preset says, usually one, where None.
         display: Show progress while it runs.
         video: Film the final policy, in simulation.
-        from_data: Folders of earlier runs of the same task and robot; the learner begins with
-            their real episodes, which cost nothing.
+        options: Options of the run, beside a task; see `RunOptions`.
 
     Returns:
         How the run ended.
@@ -142,33 +128,20 @@ def train(
     Raises:
         UserError: Bad input; nothing has moved.
     """
-    task = canonical_name(task)
-    options: dict[str, object] = {
-        "seed": seed,
-        "device": device,
-        "until_success": until_success,
-    }
-    if driver is not None:
-        options["driver"] = driver
-    if asynchronous is not None:
-        options["asynchronous"] = asynchronous
-    if simulators is not None:
-        options["simulators"] = simulators
-    if budget_minutes is not None:
-        options["budget_minutes"] = budget_minutes
-    sources = [str(Path(folder).resolve()) for folder in from_data]
-    twice = [source for source in sources if sources.count(source) > 1]
-    if twice:
-        raise UserError(f"--from-data names {twice[0]} twice; its episodes are to be learned once")
-    config = load_config(task, preset, algo, overrides, options, robot, connect, sources)
+    check_options("train", options)
+    if (config is None) == (task is None) or (config is not None and options):
+        raise UserError("train takes either a config, or a task with its options")
+    if config is None:
+        assert task is not None
+        config = load_config(task, **options)
     if video:
-        require_film(config.chosen_robot, task)
-    path = out or default_run_path(task, algo, preset, config.seed)
+        require_film(config.chosen_robot, config.task)
+    path = out or default_run_path(config.task, config.algo, config.preset, config.seed)
     # The robot is made first: a bad driver or budget should leave no folder behind.
-    with open_training_setup(config) as cell:
-        check_sources(config.from_data, cell.env.policy_interface())
+    with open_training_setup(config) as setup:
+        check_sources(config.from_data, setup.env.policy_interface())
         directory = RunDirectory.create(path, dump_config(config))
-        return _run(cell, directory, display=display, video=video)
+        return _train(setup, directory, display=display, video=video)
 
 
 def resume(
@@ -199,57 +172,47 @@ def resume(
         config = change_simulators(config, simulators)
     if video:
         require_film(config.chosen_robot, config.task)
-    with open_training_setup(config) as cell:
-        return _run(cell, opened, display=display, video=video)
+    with open_training_setup(config) as setup:
+        return _train(setup, opened, display=display, video=video)
 
 
-def _run(
-    cell: TrainingSetup, directory: RunDirectory, *, display: bool, video: bool
+def _train(
+    setup: TrainingSetup, directory: RunDirectory, *, display: bool, video: bool
 ) -> TrainResult:
-    config = cell.config
-    provenance = collect_provenance(sys.argv, config.seed, datetime.datetime.now().astimezone())
-    if cell.group is not None:
-        provenance["processes"] = cell.group.world_size
+    provenance = _collect_provenance(setup)
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
-        budget = Budget(ledger, cell.budget_ticks)
-        minutes = cell.minutes_of(budget.budget_ticks)
-        keep_interface(directory.episodes_path, cell.env.policy_interface())
+        budget = Budget(ledger, setup.budget)
+        minutes = budget.total.minutes
+        keep_interface(directory.episodes_path, setup.env.policy_interface())
         if not directory.checkpoint_path.exists():  # later another copy would be another run
-            copy_sources(config.from_data, directory.warm_start_path)
-        durable = cell.simulator is None  # a robot that somebody waits for: each tick is kept
+            copy_sources(setup.config.from_data, directory.warm_start_path)
+        durable = setup.simulator is None  # a robot that a person waits for: each tick is kept
         store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
-        writer = stack.enter_context(SummaryWriter(str(directory.tensorboard_path)))
-        title = f"{config.task} on {config.chosen_robot.title}, {config.algo}, {config.preset}"
-        shown = stack.enter_context(TrainingDisplay(minutes, title=title, enabled=display))
-        operator = Operator()
-        if operator.present:
-            cell.env.ask_human = partial(_ask, operator, shown)
-        shown.announce(cell.meaning_of_budget(budget.budget_ticks, budget.spent_ticks))
+        listener = _open_listeners(stack, setup, directory, provenance, minutes, display=display)
+        listener.announce(setup.describe_budget(budget.total, budget.spent))
         try:
-            run = TrainingRun(cell, directory, ledger, store, shown, writer, provenance)
+            run = TrainingRun(setup, directory, budget, store, listener, provenance)
             last = run.run()
         except KeyboardInterrupt as error:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
-        # Beside the robot an epoch was collected that is not in the last row.
-        spent_minutes = cell.minutes_of(budget.spent_ticks)
-    final = _final_evaluation(cell, directory, video=video)
+        # An asynchronous run has collected an epoch that is not in the last row.
+        spent_minutes = budget.spent.minutes
+    final = _final_evaluation(setup, directory, video=video)
     success = next((row["success"] for row in reversed(run.rows) if "success" in row), None)
-    write_result(
-        directory.result_path,
-        RunResult(
-            epochs=int(last["epoch"]),
-            robot_minutes=spent_minutes,
-            budget_minutes=minutes,
-            success=None if success is None else float(success),
-            final_successes=None if final is None else final.successes,
-            final_episodes=0 if final is None else final.episodes,
-            wall_seconds=last["wall_seconds"],
-        ),
+    result = RunResult(
+        epochs=int(last["epoch"]),
+        robot_minutes=spent_minutes,
+        budget_minutes=minutes,
+        success=None if success is None else float(success),
+        final_successes=None if final is None else final.successes,
+        final_episodes=0 if final is None else final.episodes,
+        wall_seconds=last["wall_seconds"],
     )
+    write_result(directory.result_path, result)
     return TrainResult(
         directory=directory.path,
         policy=directory.policy_path,
@@ -257,37 +220,75 @@ def _run(
         final=final,
         robot_minutes=spent_minutes,
         budget_minutes=minutes,
-        wall_seconds=last["wall_seconds"],
-        epochs=int(last["epoch"]),
+        wall_seconds=result.wall_seconds,
+        epochs=result.epochs,
         plot=directory.plot_path,
-        robot=config.chosen_robot,
+        robot=setup.config.chosen_robot,
         video=None if final is None else final.video,
         ticks=describe_jitter(run.rows),
     )
 
 
-def _ask(operator: Operator, shown: TrainingDisplay, message: str) -> None:
-    with shown.paused():
+def _collect_provenance(setup: TrainingSetup) -> dict[str, Any]:
+    now = datetime.datetime.now().astimezone()
+    provenance = collect_provenance(sys.argv, setup.config.seed, now)
+    if setup.group is not None:
+        provenance["processes"] = setup.group.world_size
+    return provenance
+
+
+def _open_listeners(
+    stack: ExitStack,
+    setup: TrainingSetup,
+    directory: RunDirectory,
+    provenance: Mapping[str, Any],
+    budget_minutes: float,
+    *,
+    display: bool,
+) -> RunListener:
+    """Make the listeners of a run; questions to the operator pause them."""
+    from iher_robot.training.tensorboard import TensorBoard  # takes 0.5 s to import
+
+    config, robot = setup.config, setup.config.chosen_robot.title
+    title = f"{config.task} on {robot}, {config.algo}, {config.preset}"
+    plot = SuccessPlot(
+        directory.plot_path,
+        label=f"{config.algo}, preset {config.preset}",
+        title=f"{config.task} on {robot}",
+        subtitle=f"seed {config.seed}, commit {provenance['commit'][:10]}",
+        budget_minutes=budget_minutes,
+    )
+    board = stack.enter_context(TensorBoard(directory.tensorboard_path))
+    shown = stack.enter_context(TrainingDisplay(budget_minutes, title=title, enabled=display))
+    listener = RunListeners([board, plot, shown])
+    operator = Operator()
+    if operator.present:
+        setup.env.ask_human = partial(_ask, operator, listener)
+    return listener
+
+
+def _ask(operator: Operator, listener: RunListener, message: str) -> None:
+    with listener.question():
         operator.help(message)
 
 
 def _final_evaluation(
-    cell: TrainingSetup, directory: RunDirectory, *, video: bool
+    setup: TrainingSetup, directory: RunDirectory, *, video: bool
 ) -> EvaluationResult | None:
-    config = cell.config
+    config = setup.config
     episodes = config.evaluation.final_episodes or (FILMED_EPISODES if video else 0)
-    if cell.simulator is None or not episodes:
+    if setup.simulator is None or not episodes:
         return None
-    actor = load_actor(directory.policy_path)
-    if cell.pool is not None and not video:  # frames are rendered one episode after the other
+    trained = load_trained_policy(directory.policy_path)
+    if setup.pool is not None and not video:  # frames are rendered one episode after the other
         seeds = [episode_seed(config.seed, Stream.FINAL_EVALUATION, i) for i in range(episodes)]
-        warnings = check_fit(actor, cell.env)
-        successes = run_evaluation(cell.pool.run(cell.learner, seeds)).successes
+        warnings = check_fit(trained, setup.env)
+        successes = run_evaluation(setup.pool.run(setup.learner, seeds)).successes
         title = config.chosen_robot.title
-        return EvaluationResult(actor.task.name, title, successes, episodes, warnings, None)
+        return EvaluationResult(trained.task.name, title, successes, episodes, warnings, None)
     return evaluate_on(
         config.chosen_robot,
-        actor,
+        trained,
         episodes=episodes,
         seed=config.seed,
         video=directory.film_path if video else None,

@@ -1,4 +1,4 @@
-"""Real data of earlier runs, copied into a new one so that it depends on nothing else."""
+"""Warm start: real episodes of earlier runs, copied into a new run's folder."""
 
 from __future__ import annotations
 

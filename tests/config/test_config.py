@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def configs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Files:
 
 
 def load(*overrides: str) -> RunConfig:
-    return load_config("push", "default", "iher", overrides)
+    return load_config("push", overrides=overrides)
 
 
 def test_each_layer_wins_over_the_one_before(configs: Files) -> None:
@@ -167,18 +168,18 @@ def test_unknown_names_list_the_valid_ones(
     configs: Files, preset: str, algo: str, message: str
 ) -> None:
     with pytest.raises(UserError, match=message):
-        load_config("push", preset, algo, [])
+        load_config("push", preset=preset, algo=algo)
 
 
 def test_a_preset_without_the_task_says_which_tasks_it_has(configs: Files) -> None:
     with pytest.raises(UserError, match=r"preset 'default' 'slide', valid: push"):
-        load_config("slide", "default", "iher", [])
+        load_config("slide")
 
 
 def test_a_preset_may_be_a_users_file(configs: Files, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text("seed: 11")
-    config = load_config("push", str(mine), "iher", [])
+    config = load_config("push", preset=str(mine))
     assert (config.seed, config.preset) == (11, str(mine))
 
 
@@ -186,7 +187,7 @@ def test_a_users_file_that_is_not_text_is_named(configs: Files, tmp_path: Path) 
     mine = tmp_path / "mine.yaml"
     mine.write_bytes(b"\xff\xfe\x00seed")
     with pytest.raises(UserError, match=r"mine\.yaml"):
-        load_config("push", str(mine), "iher", [])
+        load_config("push", preset=str(mine))
 
 
 def test_settings_cannot_be_changed(configs: Files) -> None:
@@ -284,31 +285,31 @@ def test_a_config_file_names_what_exists(tmp_path: Path, change: dict[str, str])
     ],
 )
 def test_a_bad_value_of_an_option_names_the_option(
-    configs: Files, key: str, value: object, message: str
+    configs: Files, key: str, value: Any, message: str
 ) -> None:
     with pytest.raises(UserError, match=f"^{re.escape(message)}"):
-        load_config("push", "default", "iher", [], {key: value})
+        load_config("push", **{key: value})
 
 
 def test_options_win_over_files_and_overrides_over_options(configs: Files) -> None:
     configs("presets/default/push.yaml", "seed: 3\ndriver: other\nuntil_success: 0.5")
-    options = {"seed": np.int64(4), "driver": "[1e3", "until_success": None}
-    config = load_config("push", "default", "iher", [], options)
+    options: dict[str, Any] = {"seed": np.int64(4), "driver": "[1e3", "until_success": None}
+    config = load_config("push", **options)
     assert (config.seed, config.driver, config.until_success) == (4, "[1e3", None)
-    assert load_config("push", "default", "iher", ["seed=5"], options).seed == 5
+    assert load_config("push", overrides=["seed=5"], **options).seed == 5
 
 
 def test_the_robots_options_are_kept_as_they_were_read(configs: Files, tmp_path: Path) -> None:
     configs("robots/worn.yaml", "object: {mass_kg: 3e0, names: [a, 1]}\ndelay: null")
     kept = tmp_path / "config.yaml"
-    kept.write_text(dump_config(load_config("push", "default", "iher", [], robot="worn")))
+    kept.write_text(dump_config(load_config("push", robot="worn")))
 
     configs("robots/worn.yaml", "delay: 5")
 
     config = read_config(kept)
     assert config.robot == "worn"
     assert config.robot_options == {"object": {"mass_kg": 3.0, "names": ["a", 1]}, "delay": None}
-    assert load_config("push", "default", "iher", []).robot_options == {"actuation": "mocap"}
+    assert load_config("push").robot_options == {"actuation": "mocap"}
 
 
 def test_a_robots_file_may_name_the_driver_unless_another_layer_does(
@@ -317,15 +318,15 @@ def test_a_robots_file_may_name_the_driver_unless_another_layer_does(
     mine = tmp_path / "mine.yaml"
     mine.write_text("driver: zenoh\nrobot: arm\n")
 
-    config = load_config("push", "default", "iher", [], robot=str(mine), connect=["tcp/a:1"])
+    config = load_config("push", robot=str(mine), connect=["tcp/a:1"])
 
     assert (config.driver, config.robot) == ("zenoh", str(mine))
     assert config.robot_options == {"robot": "arm", "connect": ["tcp/a:1"]}
     assert config.chosen_robot.command_options.endswith(" --connect tcp/a:1")
     for driver in ["driver=mujoco"], ["driver=other"]:
         with pytest.raises(UserError, match=r"mine\.yaml: driver is 'zenoh', but"):
-            load_config("push", "default", "iher", driver, robot=str(mine))
-    load_config("push", "default", "iher", ["driver=zenoh"], robot=str(mine))
+            load_config("push", overrides=driver, robot=str(mine))
+    load_config("push", overrides=["driver=zenoh"], robot=str(mine))
 
 
 def test_the_default_robot_is_that_of_the_driver_wherever_it_was_named(configs: Files) -> None:
@@ -338,7 +339,7 @@ def test_the_default_robot_is_that_of_the_driver_wherever_it_was_named(configs: 
 def test_a_robot_of_infinite_mass_is_refused_by_name(configs: Files) -> None:
     configs("robots/heavy.yaml", "object: {mass_kg: .inf}")
     with pytest.raises(UserError, match=r"robot heavy: robot_options is .*inf.*finite numbers"):
-        load_config("push", "default", "iher", [], robot="heavy")
+        load_config("push", robot="heavy")
 
 
 def shipped() -> list[tuple[str, str]]:
@@ -352,5 +353,5 @@ def test_every_shipped_preset_loads_with_every_algorithm(preset: str, task: str)
     names = [file.stem for file in algorithms.glob("*.yaml")]
     assert names
     for algo in names:
-        config = load_config(task, preset, algo, [])
+        config = load_config(task, preset=preset, algo=algo)
         assert (config.task, config.preset, config.algo) == (task, preset, algo)

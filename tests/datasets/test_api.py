@@ -15,7 +15,7 @@ from iher_robot.datasets.run_reader import examine_store
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import RecordedTick, StoredEpisode
 from iher_robot.storage.episode_store import EpisodeStore
-from iher_robot.storage.files.atomic import seal_zip
+from iher_robot.storage.files.checksum import add_zip_checksum
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
 from tests.run_folders import PERIOD_S, make_run, make_stored
@@ -161,7 +161,7 @@ def forge_episode(run: Path) -> None:
         arrays = dict(file)
     arrays["valid"] = ~arrays["valid"]
     np.savez(path, allow_pickle=False, **arrays)
-    path.write_bytes(seal_zip(path.read_bytes()))
+    path.write_bytes(add_zip_checksum(path.read_bytes()))
 
 
 def swap_episodes(run: Path) -> None:

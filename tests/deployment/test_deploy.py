@@ -20,7 +20,6 @@ from drivers import LinkLost, ResetOutcome, ResetRequest, ResetResult, RobotSpec
 from iher_robot.cli import deploy as cli_deploy
 from iher_robot.config.robot import choose_own_robot, choose_robot
 from iher_robot.deployment import deploy as deploy_module
-from iher_robot.deployment import episode as episode_module
 from iher_robot.deployment.deploy import DeployResult, deploy
 from iher_robot.deployment.log import DeploymentLog
 from iher_robot.env import goal_env as goal_env_module
@@ -31,7 +30,7 @@ from iher_robot.evaluation.policy_file import PolicyFile, save_policy
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
-from iher_robot.rollout.episode import choose_action
+from iher_robot.rollout.actor import PolicyActor
 from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.episode_store import EpisodeReader
 from iher_robot.storage.interface import read_interface
@@ -133,11 +132,8 @@ def robot(serve: Callable[[FakeRobot], None]) -> Robot:
 def full_action(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every policy ask for full speed, there and back."""
     ways: Iterator[float] = iter(np.where(np.arange(10_000) // 4 % 2 == 0, 1.0, -1.0))
-    monkeypatch.setattr(
-        episode_module,
-        "choose_action",
-        lambda *_: torch.tensor([[1.0, 1.0, 1.0, 0.0]]) * float(next(ways)),
-    )
+    full = np.array([1.0, 1.0, 1.0, 0.0], np.float32)
+    monkeypatch.setattr(PolicyActor, "act", lambda *_: full * np.float32(next(ways)))
 
 
 def run(policy: Path, **options: Any) -> DeployResult:
@@ -495,16 +491,16 @@ def test_an_interrupt_in_a_tick_leaves_the_robot_held_and_the_log_whole(
 def test_an_interrupt_between_ticks_invents_none(
     policy: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    choose, chosen = choose_action, 0
+    act, chosen = PolicyActor.act, 0
 
     def interrupted(*arguments: Any) -> Any:
         nonlocal chosen
         chosen += 1
         if chosen == 5:
             raise KeyboardInterrupt
-        return choose(*arguments)
+        return act(*arguments)
 
-    monkeypatch.setattr(episode_module, "choose_action", interrupted)
+    monkeypatch.setattr(PolicyActor, "act", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(policy)
     assert robot.left_alone

@@ -20,9 +20,12 @@ from drivers import (
 from iher_robot.env.goal_env import EpisodeAborted, GoalRobotEnv, LinkTooSlow, ResetFailed, make_env
 from iher_robot.env.registration import ENV_IDS, register_envs
 from iher_robot.errors import NoSolution, UserError
-from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.observer import EpisodeStart
+from iher_robot.rollout.recorder import Recorder
 from tasks import MissingObject, make_task
 from tests.drivers.fake_robot import PERIOD_NS, FakeRobot
+from tests.random_actor import RandomActor
 
 FORWARD = np.array([0.5, 0.0, 0.0, 0.0], dtype=np.float32)
 
@@ -391,15 +394,20 @@ def test_a_controller_without_a_solution_is_not_blamed_on_the_link(
 def test_ticks_unseen_in_the_step_that_aborts_are_charged(
     env: GoalRobotEnv, robot: FakeRobot
 ) -> None:
-    recorder = Recorder()
-    recorder.start(env.reset(seed=0)[0])
-    begun = robot.seq
-    robot.lost_ticks = 3
-    recorder.step(env, FORWARD)
-    recorder.step(env, FORWARD)
-    with pytest.raises(LinkTooSlow):
-        recorder.step(env, FORWARD)
-    assert recorder.ticks == robot.seq - begun == 12
+    class LosesTicks(Recorder):
+        def start(self, start: EpisodeStart) -> None:
+            super().start(start)
+            self.begun = robot.seq
+            robot.lost_ticks = 3
+
+        def abort(self, error: EpisodeAborted) -> None:
+            super().abort(error)
+            self.error, self.seq = error, robot.seq
+
+    recorder = LosesTicks()
+    run_episode(env, RandomActor(0), recorder, seed=0, ticks=50)
+    assert isinstance(recorder.error, LinkTooSlow)
+    assert recorder.ticks == recorder.seq - recorder.begun == 12
 
 
 @pytest.mark.parametrize("kind", [LinkLost, LeaseRefused])

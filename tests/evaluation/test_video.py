@@ -13,6 +13,7 @@ from drivers.mujoco import MujocoDriver
 from iher_robot.env.goal_env import make_env
 from iher_robot.errors import UserError
 from iher_robot.evaluation.video import FRAMES_PER_SECOND, draw_reached, film, require_film_packages
+from iher_robot.rollout.observer import EpisodeStart, Transition
 
 imageio = pytest.importorskip("imageio.v2")
 
@@ -57,9 +58,10 @@ def test_success_is_a_green_border_with_white_words() -> None:
 def test_a_film_has_every_frame_and_shows_success_from_its_moment(tmp_path: Path) -> None:
     path, stage = tmp_path / "film.mp4", Stage()
     with film(path) as shots:
-        for reached in (False, False, True):
-            shots.take(stage, reached)  # type: ignore[arg-type]
-        shots.linger()
+        shots.start(EpisodeStart(stage, {}, 0))  # type: ignore[arg-type]
+        for reached in (False, True):
+            shots.after_tick(Transition({}, np.zeros(4), {}, {"is_success": reached}))
+        shots.end(None)
 
     frames = list(imageio.get_reader(path).iter_data())
     assert len(frames) == 3 + round(0.6 * FRAMES_PER_SECOND)
@@ -72,8 +74,9 @@ def test_a_film_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
     def take_until_ffmpeg_has_failed() -> None:
         with film(path) as shots:
+            shots.start(EpisodeStart(Stage(), {}, 0))  # type: ignore[arg-type]
             for _ in range(1000):
-                shots.take(Stage(), False)  # type: ignore[arg-type]
+                shots.after_tick(Transition({}, np.zeros(4), {}, {"is_success": False}))
 
     with pytest.raises(UserError, match=r"cannot write video file .*film\.mp4"):
         take_until_ffmpeg_has_failed()

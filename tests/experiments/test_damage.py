@@ -11,7 +11,7 @@ import pytest
 from iher_robot.errors import UserError
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.report.report import report
-from iher_robot.storage.files.checksum import seal
+from iher_robot.storage.files.checksum import add_checksum
 from tests.experiments.made import commit, make_experiment, unsealed
 
 pytest.importorskip("pandas")
@@ -99,7 +99,7 @@ def test_a_table_of_other_bytes(folder: ExperimentFolder) -> None:
 def test_an_experiment_file_that_lacks_something(folder: ExperimentFolder, key: str) -> None:
     origin = unsealed(folder.origin_path)
     del origin[key]
-    folder.origin_path.write_text(json.dumps(seal(origin)))
+    folder.origin_path.write_text(json.dumps(add_checksum(origin)))
     with pytest.raises(UserError, match=rf"experiment\.json is no .*: {key}: Field required"):
         report(folder.path)
 
@@ -111,6 +111,6 @@ def test_an_experiment_file_with_a_wrong_cell(folder: ExperimentFolder) -> None:
         ([cells[0] | {"seed": "0"}], r"cells\.0\.seed: "),
         ([cells[0], cells[0]], "names the cell reach-iher-default-seed0 twice"),
     ):
-        folder.origin_path.write_text(json.dumps(seal(origin | {"cells": wrong})))
+        folder.origin_path.write_text(json.dumps(add_checksum(origin | {"cells": wrong})))
         with pytest.raises(UserError, match=said):
             report(folder.path)

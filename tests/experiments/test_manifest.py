@@ -60,33 +60,25 @@ def test_a_variant_counts_before_its_grid(tmp_path: Path) -> None:
     assert [c.config.learner.ddpg.gamma for c in cells_of(tmp_path, grid)] == [0.5, 0.9]
 
 
-def test_the_options_of_a_cell_give_its_settings(tmp_path: Path) -> None:
+def test_a_cell_has_the_settings_of_its_grid(tmp_path: Path) -> None:
     robot = tmp_path / "mine.yaml"
     robot.write_text("actuation: mocap\n")
     settings = {"learner.ddpg.hidden": [8, 8], "learner.ddpg.policy_average": None}
     grid = GRID | {"robot": "mine.yaml", "settings": settings, "until_success": 0.9, "seeds": [3]}
     (cell,) = cells_of(tmp_path, grid | {"budgets": [0.1]})
 
-    words = list(cell.options)
-    given = dict(zip(words[::2], words[1::2], strict=True))
-    overrides = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
-
     assert cell.config == load_config(
-        given["--task"],
-        given["--preset"],
-        given["--algo"],
-        overrides,
-        {
-            "seed": int(given["--seed"]),
-            "device": given["--device"],
-            "until_success": float(given["--until-success"]),
-            "budget_minutes": float(given["--budget-minutes"]),
-        },
-        given["--robot"],
+        GRID["tasks"][0],
+        overrides=["learner.ddpg.hidden=[8, 8]", "learner.ddpg.policy_average=null"],
+        robot=str(robot),
+        budget_minutes=0.1,
+        seed=3,
+        device="cpu",
+        until_success=0.9,
     )
     assert cell.config.learner.ddpg.hidden == (8, 8)
     assert cell.name.endswith("seed3")
-    assert given["--robot"] == str(robot), "paths are from the manifest's folder"
+    assert cell.config.robot == str(robot), "paths are from the manifest's folder"
 
 
 @pytest.mark.parametrize("name", experiment_names())

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from iher_robot.errors import UserError
 from iher_robot.experiments.cell_process import Order, Outcome
@@ -58,8 +59,7 @@ class Instant(LocalExecutor):
         self.folder = folder
 
     def _run(self, order: Order) -> Outcome:
-        overrides = [word for word in order.options if "=" in word]
-        gamma = float(next(word for word in overrides if "gamma" in word).split("=")[1])
+        gamma = float(yaml.safe_load(order.config)["learner"]["ddpg"]["gamma"])
         run = self.folder.run(order.name)
         make_run(run.path, budget_minutes=2.0)
         run.append_metrics({"epoch": 1, "robot_minutes": 0.5, "success": 0.1})

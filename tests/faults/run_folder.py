@@ -13,7 +13,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from iher_robot.evaluation.compatibility import load_actor
+from iher_robot.evaluation.compatibility import load_trained_policy
 from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.episode import DONE, StoredEpisode
 from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
@@ -108,7 +108,7 @@ def look_into(folder: Path, scratch: Path) -> Found:
                     _add(found, episode, settled.get(episode.entry))
         load_checkpoint(copy / "checkpoint.pt")
         if (copy / "policy.pt").exists():
-            load_actor(copy / "policy.pt")
+            load_trained_policy(copy / "policy.pt")
     return found
 
 
@@ -223,4 +223,4 @@ def check_finished(folder: Path, found: Found, budget_ticks: int) -> None:
     checkpoint = load_checkpoint(folder / "checkpoint.pt")
     if checkpoint is None or checkpoint["learner"]["epoch"] != len(rows):
         raise Violation("the checkpoint is not that of the last epoch")
-    load_actor(folder / "policy.pt")
+    load_trained_policy(folder / "policy.pt")

@@ -53,6 +53,15 @@ def epoch_of(learner: Learner, episodes: list[Episode]) -> None:
     learner.state_dict()
 
 
+@pytest.fixture(autouse=True)
+def only_new_objects() -> Iterator[None]:
+    """Limit `gc` to the objects of a test, without those of every imported module."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_memory_is_constant_once_the_replays_are_full(kind: str) -> None:
     sections = dict(KINDS[kind])

@@ -32,7 +32,7 @@ BATCH = 32
 @pytest.fixture(scope="module")
 def learner() -> Learner:
     overrides = ["learner.ddpg.hidden=[16,8]", "learner.dynamics.hidden=[12,6]"]
-    config = load_config("reach", "paper", "iher", overrides)
+    config = load_config("reach", preset="paper", overrides=overrides)
     return make_learner(config, make_env("reach").task, torch.device("cpu"))
 
 

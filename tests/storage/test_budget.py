@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from iher_robot.cli.app import main
-from iher_robot.datasets.robot_time import grant, spending_of_run
+from iher_robot.datasets.spending import grant, spending_of_run
 from iher_robot.errors import UserError
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training.train import resume
@@ -29,11 +29,19 @@ def say(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return int(str(ended.value.code)), printed.out, printed.err
 
 
+def budget_left_granted(run: Path) -> tuple[int, int, int]:
+    """Ticks of a run's budget, of what is left of it, and of what was granted."""
+    spending = spending_of_run(run)
+    assert spending.budget is not None
+    assert spending.left is not None
+    assert spending.granted is not None
+    return spending.budget.ticks, spending.left.ticks, spending.granted.ticks
+
+
 def test_a_grant_is_spent_by_a_resumed_run_and_by_nothing_else(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = spending_of_run(finished)
-    assert (before.budget_ticks, before.left_ticks, before.granted_ticks) == (100, 0, 0)
+    assert budget_left_granted(finished) == (100, 0, 0)
     rows = metrics(finished)
 
     code, out, err = say(capsys, "budget", "grant", str(finished), "0.02")
@@ -46,8 +54,7 @@ def test_a_grant_is_spent_by_a_resumed_run_and_by_nothing_else(
     assert result.budget_minutes == pytest.approx(130 / 1500)
     assert motion_ticks(finished) == 130
     assert metrics(finished)[: len(rows)] == rows
-    after = spending_of_run(finished)
-    assert (after.budget_ticks, after.left_ticks, after.granted_ticks) == (130, 0, 30)
+    assert budget_left_granted(finished) == (130, 0, 30)
 
 
 def test_a_grant_is_spent_though_the_run_had_succeeded(
@@ -69,7 +76,7 @@ def test_a_grant_is_spent_though_the_run_had_succeeded(
 def test_a_run_under_way_can_be_looked_at_and_not_changed(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    spent = spending_of_run(finished).spent_ticks["motion"]
+    spent = spending_of_run(finished).spent["motion"].ticks
     with Ledger(finished / "ledger.sqlite") as ledger, ledger.reserve("motion", 50) as entry:
         entry.begin(3)
         code, out, _ = say(capsys, "budget", "show", str(finished))
@@ -79,7 +86,7 @@ def test_a_run_under_way_can_be_looked_at_and_not_changed(
         assert code == 2
         assert "in use" in err
         entry.settle(0)
-    assert spending_of_run(finished).granted_ticks in (0, 30)
+    assert budget_left_granted(finished)[2] in (0, 30)
 
 
 @pytest.mark.parametrize("minutes", ["0", "nan", "inf", "1e-9"])

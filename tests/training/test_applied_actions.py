@@ -11,21 +11,19 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import REAL, Shapes
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.replay import EpisodeReplay
-from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.recorder import Recorder
+from tests.random_actor import RandomActor
 
 CPU = torch.device("cpu")
 SHAPES = Shapes(obs_dim=10, goal_dim=3, action_dim=4, episode_ticks=50)
 
 
 def random_episodes(env: GoalRobotEnv, count: int, seed: int) -> list[Episode]:
-    rng = np.random.default_rng(seed)
-    episodes = []
+    actor, episodes = RandomActor(seed), []
     for index in range(count):
-        observation, _ = env.reset(seed=100 * seed + index)
         recorder = Recorder()
-        recorder.start(observation)
-        for _ in range(50):
-            recorder.step(env, rng.uniform(-1, 1, 4).astype(np.float32))
+        run_episode(env, actor, recorder, seed=100 * seed + index, ticks=50)
         episode = recorder.episode()
         assert episode is not None
         episodes.append(episode)

@@ -100,7 +100,7 @@ def test_time_left_follows_the_pace_and_counts_down(clock: Clock) -> None:
 def test_after_resuming_the_pace_is_of_this_process_only(clock: Clock) -> None:
     display = TrainingDisplay(10.0, console=terminal(), clock=clock)
     clock.seconds = 100.0
-    display.resume(ROW)
+    display.resume([ROW])
     assert "42%" in line_with(shown(display), "success")
     assert math.isnan(display.seconds_left)
     clock.seconds = 130.0
@@ -182,7 +182,7 @@ def test_a_question_has_the_terminal_to_itself(clock: Clock) -> None:
     console = terminal()
     with TrainingDisplay(1.0, title="push", console=console, clock=clock) as display:
         display.minutes(0.25)
-        with display.paused():
+        with display.question():
             before = written(console)
             time.sleep(0.6)  # more than a refresh
             assert written(console) == before
@@ -193,6 +193,6 @@ def test_a_question_has_the_terminal_to_itself(clock: Clock) -> None:
 
 def test_a_pause_without_a_display_changes_nothing(clock: Clock) -> None:
     console = pipe()
-    with TrainingDisplay(1.0, console=console, clock=clock) as display, display.paused():
+    with TrainingDisplay(1.0, console=console, clock=clock) as display, display.question():
         display.announce("put the cube back")
     assert written(console) == "put the cube back\n"

@@ -353,13 +353,15 @@ def test_the_meaning_of_the_budget_says_how_long_the_robot_moves(
     robot: RemoteRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     overrides = ["budget_minutes=2", "evaluation.robot_episodes=4"]
-    config = load_config("reach", "paper", "iher", overrides, {"driver": "fake", "device": "cpu"})
-    with open_training_setup(config) as cell:
-        assert cell.simulator is None
-        simulated = cell.meaning_of_budget(cell.budget_ticks, 0)
+    config = load_config("reach", preset="paper", overrides=overrides, driver="fake", device="cpu")
+    with open_training_setup(config) as setup:
+        assert setup.simulator is None
+        simulated = setup.describe_budget(setup.budget, setup.budget.with_ticks(0))
         monkeypatch.setattr(RemoteRobot, "paces_itself", True)
-        meaning = cell.meaning_of_budget(cell.budget_ticks, 0)
-        later = cell.meaning_of_budget(cell.budget_ticks + 1000, 3000)
+        meaning = setup.describe_budget(setup.budget, setup.budget.with_ticks(0))
+        later = setup.describe_budget(
+            setup.budget.with_ticks(setup.budget.ticks + 1000), setup.budget.with_ticks(3000)
+        )
     # 3,000 ticks are 60 episodes, in epochs of two; each of 30 evaluations has 200 ticks.
     assert "60 episodes of up to 50" in meaning
     assert "on the robot, on an account of its own, 4 episodes each time, about 120 in" in meaning

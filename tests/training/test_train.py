@@ -23,7 +23,8 @@ from iher_robot.evaluation import success_rate as success_rate_module
 from iher_robot.evaluation.evaluate import evaluate
 from iher_robot.evaluation.policy_file import load_policy
 from iher_robot.evaluation.success_rate import Evaluation
-from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.episode_store import EpisodeReader
 from iher_robot.storage.ledger import Ledger
@@ -103,7 +104,7 @@ def test_a_run_interrupted_between_epochs_ends_as_one_that_was_not(
 
 def test_a_run_interrupted_in_an_episode_loses_and_recounts_nothing(tmp_path: Path) -> None:
     # An epoch is 100 ticks of collection and 100 of evaluation.
-    with interruption(Recorder, "step", call=231):
+    with interruption(Recorder, "before_tick", call=231):
         run(tmp_path / "run", 2 * EPOCH_MINUTES)
     assert [len(s.episode) for s in EpisodeReader(tmp_path / "run" / "episodes")] == [50, 50, 30]
     assert motion_ticks(tmp_path / "run") == 130
@@ -316,31 +317,44 @@ def test_lost_metrics_come_back_from_the_checkpoint(
     assert [row["epoch"] for row in metrics(folder)] == [1, 2, 3]
 
 
-@pytest.mark.parametrize("line", ["self.success = bool", "assert env.state", "observation, _, _"])
+@pytest.mark.parametrize(
+    ("function", "line", "stored"),
+    [
+        (run_episode, "after, _, _, _, info = env.step", 7),
+        (run_episode, "observer.after_tick", 7),
+        (Recorder.after_tick, "self.success = ", 8),
+    ],
+)
 def test_an_interrupt_within_a_tick_keeps_whole_ticks_and_counts_that_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    function: Callable[..., None],
+    line: str,
+    stored: int,
 ) -> None:
-    original = Recorder.step
-    source, first = inspect.getsourcelines(original)
+    source, first = inspect.getsourcelines(function)
     number = first + next(i for i, text in enumerate(source) if line in text)
+    before_tick = Recorder.before_tick
 
     def trace(frame: FrameType, event: str, _: object) -> Any:
-        if frame.f_code is not original.__code__:
+        if frame.f_code is not function.__code__:
             return None
         if event == "line" and frame.f_lineno == number:
             sys.settrace(None)
             raise Interruption
         return trace
 
-    def traced(self: Recorder, env: GoalRobotEnv, action: Any) -> Any:
+    def traced(self: Recorder, observation: Any, action: Any) -> None:
         if self.ticks == 7:
             sys.settrace(trace)
-        return original(self, env, action)
+            loop = sys._getframe(1)
+            loop.f_trace = trace
+        before_tick(self, observation, action)
 
-    monkeypatch.setattr(Recorder, "step", traced)
+    monkeypatch.setattr(Recorder, "before_tick", traced)
     with pytest.raises(Interruption):
         run(tmp_path / "run", EPOCH_MINUTES)
-    assert stored_ticks(tmp_path / "run") == (8 if line.startswith("self.success") else 7)
+    assert stored_ticks(tmp_path / "run") == stored
     assert motion_ticks(tmp_path / "run") == 8
 
 

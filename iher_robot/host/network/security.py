@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
 
@@ -12,6 +11,8 @@ from drivers.errors import InvalidSpec
 from drivers.names import unknown
 from drivers.remote.certificates import TlsFiles, check_certificates
 from drivers.remote.link import warn_if_others_can_read
+from drivers.validation import describe_problems
+from iher_robot.config.paths import TLS_PATHS, resolve_paths
 from iher_robot.config.yaml import parse_mapping
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file
@@ -67,7 +68,7 @@ class HostSecurity(_Section):
 
 
 _ROLES = tuple(Roles.model_fields)
-_SECTIONS: Mapping[str, type[BaseModel]] = {"tls": TlsFiles, "roles": Roles}
+_PATHS = ("users", *TLS_PATHS)
 
 
 def read_security(path: Path | None) -> HostSecurity | None:
@@ -84,10 +85,11 @@ def read_security(path: Path | None) -> HostSecurity | None:
         return None
     content = parse_mapping(read_file(path, _KIND), str(path))
     try:
-        security = HostSecurity.model_validate(_beside(path, content))
+        security = HostSecurity.model_validate(resolve_paths(content, path, _PATHS))
     except ValidationError as error:
-        details = error.errors(include_url=False, include_context=False)
-        raise UserError(f"{path}: " + "; ".join(map(_sentence, details))) from None
+        raise UserError(
+            f"{path}: {describe_problems(error, HostSecurity, 'security setting')}"
+        ) from None
     try:
         if security.tls is not None:
             check_certificates(security.tls)
@@ -136,17 +138,6 @@ def _is_loopback(endpoint: str) -> bool:
         return host == "localhost"
 
 
-def _beside(path: Path, content: Mapping[object, object]) -> dict[str, object]:
-    folder = path.absolute().parent
-    found = {str(key): value for key, value in content.items()}
-    if isinstance(found.get("users"), str):
-        found["users"] = folder / str(found["users"])
-    tls = found.get("tls")
-    if isinstance(tls, Mapping):
-        found["tls"] = {k: folder / v if isinstance(v, str) else v for k, v in tls.items()}
-    return found
-
-
 def _check_users(path: Path, security: HostSecurity) -> None:
     assert security.users is not None
     users = _read_users(security.users)
@@ -177,15 +168,3 @@ def _read_users(path: Path) -> list[str]:
         raise UserError(f"file of users {path} is empty; give lines of user:password")
     warn_if_others_can_read(path, "file of users")
     return users
-
-
-def _sentence(detail: Mapping[str, object]) -> str:
-    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
-    key, reason = ".".join(path), str(detail["msg"]).removeprefix("Value error, ")
-    if not path:
-        return reason
-    if detail["type"] == "extra_forbidden":
-        section = _SECTIONS[path[0]] if len(path) > 1 else HostSecurity
-        names = [".".join((*path[:-1], name)) for name in section.model_fields]
-        return unknown("security setting", key, names)
-    return f"{key} is {detail['input']!r}: {reason[0].lower()}{reason[1:]}"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 
-Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+from iher_robot.learning.config import Precision
 
 
 def pick_matmul_dtype(precision: Precision, device: torch.device) -> torch.dtype:

@@ -1,4 +1,4 @@
-"""What acts in a simulator of another process: weights and what disturbs them."""
+"""Snapshot of a learner's policy and explorer, for simulator processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CPU = torch.device("cpu")
 
 
 def take_snapshot(learner: Learner) -> Message:
-    """What ``Learner.acting_policy`` and ``Learner.explorer`` would return now, as a message."""
+    """Serialize what ``Learner.acting_policy`` and ``Learner.explorer`` return now."""
     contact = learner.contact
     return {
         "policy": learner.acting_policy(_CPU).snapshot(),
@@ -28,15 +28,15 @@ def take_snapshot(learner: Learner) -> Message:
 def read_snapshot(
     snapshot: Message, config: LearnerConfig, contact_model: ContactModel | None
 ) -> tuple[Policy, Explorer]:
-    """Make what acts from what ``take_snapshot`` returned.
+    """Deserialize the result of ``take_snapshot``.
 
     Args:
-        snapshot: Of a learner of the same settings.
-        config: These settings.
-        contact_model: The task's.
+        snapshot: Snapshot of a learner of the same settings.
+        config: The settings.
+        contact_model: The task's contact model.
 
     Returns:
-        The policy, and what disturbs its actions; both on the CPU.
+        The policy and the explorer, both on the CPU.
     """
     contact = None
     if snapshot["contact"] is not None:

@@ -1,4 +1,4 @@
-"""Programs of this project in processes of their own, as the run that started them sees them."""
+"""Child process that runs a program of this project: start, exchange messages, end."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _KEPT = "nothing recorded is lost"
 
 
 class ChildProcess(Closing):
-    """Starts a program, talks to it, and ends it.
+    """Runs a program in a child process and exchanges messages with it.
 
-    A program of its own rather than a child of ``multiprocessing``: that would run the user's
-    script a second time. It ends by itself when this process does, however that ends.
+    Not a child of ``multiprocessing``, which would run the user's script a second time. It ends by
+    itself when this process does, however that ends.
 
     Args:
-        program: What it runs; it is given ``sys.path`` as JSON and the number of its socket.
-        title: What it is called in messages, such as ``"the learner's process"``.
-        advice: What to do when it has ended, for messages.
+        program: Python source; its arguments are ``sys.path`` as JSON and the number of its socket.
+        title: Its name in messages, such as ``"the learner's process"``.
+        advice: What the user can do when it has ended, for messages.
     """
 
     def __init__(self, program: str, title: str, advice: str) -> None:
@@ -46,21 +46,21 @@ class ChildProcess(Closing):
 
     @property
     def is_open(self) -> bool:
-        """Whether it was started, and not closed since."""
+        """Whether it was started and not closed."""
         return self._connection is not None
 
-    def unheard(self) -> UserError:
-        """The error where something that it said is lost, as an interrupt leaves it."""
-        return UserError(f"{self._title} was not heard to the end; {_KEPT}, {self._advice}")
+    def lost_message(self) -> UserError:
+        """The error where an interrupt cut off one of its messages."""
+        return UserError(f"{self._title}: its last message was lost; {_KEPT}, {self._advice}")
 
     @property
     def connection(self) -> Connection:
-        """The way to it, for ``multiprocessing.connection.wait``."""
+        """The connection, for ``multiprocessing.connection.wait``."""
         assert self._connection is not None, "start comes first"
         return self._connection
 
     def start(self) -> None:
-        """Start it; it is not waited for."""
+        """Start it, without waiting for it."""
         ours, its = socket.socketpair()
         with ours, its:
             paths, number = json.dumps(sys.path), str(its.fileno())
@@ -72,7 +72,7 @@ class ChildProcess(Closing):
                 pass_fds=(its.fileno(),),
                 start_new_session=True,
             )
-            self._connection = Connection(ours.detach())  # last: then it can be heard
+            self._connection = Connection(ours.detach())  # last: then messages can arrive
 
     def send(self, message: Mapping[str, Any]) -> None:
         """Send a message.
@@ -93,17 +93,17 @@ class ChildProcess(Closing):
             timeout_s: Longest time to wait for it.
 
         Returns:
-            The message, None where there is none in time.
+            The message; None if none arrives in time.
 
         Raises:
             UserError: The process is gone, or says why it cannot go on.
         """
         if self._torn:
-            raise self.unheard()
+            raise self.lost_message()
         try:
             if not self.connection.poll(timeout_s):
                 return None
-            self._torn = True  # what an interrupt leaves of the message is none
+            self._torn = True  # an interrupt in the middle loses the message
             message = receive_message(self.connection)
         except (EOFError, OSError):
             raise self._ended() from None
@@ -113,7 +113,7 @@ class ChildProcess(Closing):
         return message
 
     def close(self) -> None:
-        """End it; it keeps nothing that is not kept here."""
+        """End it; it holds nothing that is not stored here."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -122,7 +122,7 @@ class ChildProcess(Closing):
             self._connection = None
 
     def _drain(self) -> None:
-        """Read to the end: before it went it may have said why."""
+        """Read to the end: its last message may say why it ended."""
         while self.receive(_END_S) is not None:
             pass
 
@@ -133,27 +133,27 @@ class ChildProcess(Closing):
         except subprocess.TimeoutExpired:
             how = "fell silent"
         else:
-            how = f"ended by itself with {_in_words(code)}"
+            how = f"ended by itself with {_describe_exit(code)}"
         return UserError(f"{self._title} {how}; {_KEPT}, {self._advice}")
 
 
-def end_with_the_other_side(descriptor: int) -> None:
-    """End this process at once, whatever it is doing, when the one that started it is gone.
+def exit_on_hangup(descriptor: int) -> None:
+    """Exit this process at once, whatever it is doing, when its parent is gone.
 
     Args:
-        descriptor: Of the socket to it.
+        descriptor: File descriptor of the socket to the parent.
     """
     threading.Thread(target=_end_at_hangup, args=(descriptor,), daemon=True).start()
 
 
 def _end_at_hangup(descriptor: int) -> None:
     hangup = select.poll()
-    hangup.register(descriptor, 0)  # no event but that the other side is gone
+    hangup.register(descriptor, 0)  # no event but the hang-up
     hangup.poll()
     os._exit(1)
 
 
-def _in_words(code: int) -> str:
+def _describe_exit(code: int) -> str:
     if code >= 0:
         return f"exit code {code}, see its messages above"
     return f"signal {signal.Signals(-code).name}"

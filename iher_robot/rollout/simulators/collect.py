@@ -1,6 +1,6 @@
-"""Real episodes in several simulators at once: each charged and kept, in the order of their number.
+"""Real episodes of several simulators: charged and stored in the order of their numbers.
 
-Which episodes there are, and what is in them, does not depend on how many run at once.
+The episodes do not depend on how many simulators run them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from drivers.closing import Closing
 from iher_robot.errors import UserError
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.simulators.episode import Order, SimulatedEpisode
-from iher_robot.rollout.simulators.pool import SimulatorPool, Ticket
+from iher_robot.rollout.simulators.pool import EpisodeFuture, SimulatorPool
 from iher_robot.storage.budget import Budget
 from iher_robot.storage.episode import StoredEpisode
 from iher_robot.storage.episode_store import EpisodeStore
@@ -23,26 +23,26 @@ from iher_robot.storage.ledger import Entry
 
 
 @dataclass
-class _UnderWay:
+class _Running:
     epoch: int
     seed: int
-    ticket: Ticket
+    future: EpisodeFuture
     motion: Entry
     reset: Entry
     place: int | None = None
-    """In the store, once it is about to be there."""
+    """Place in the store, set right before it is stored."""
 
 
 class SimulatedEpisodes(Closing):
     """Runs the episodes of a run in a pool of simulators.
 
-    The ticks of each are reserved before it begins. One that the budget shortens begins only when
-    no other is under way, whose ticks might come back.
+    The ticks of each are reserved before it begins. An episode that the budget shortens begins only
+    when no other is running, whose unused ticks might come back.
 
     Args:
-        pool: The simulators, whose ticks are counted as if all were one robot.
-        budget: What may be spent.
-        store: Keeps the episodes.
+        pool: The simulators; their ticks are counted as if all were one robot.
+        budget: Budget of the run.
+        store: Store of the episodes.
         seed_of: Seed of an episode, by its number.
     """
 
@@ -57,7 +57,7 @@ class SimulatedEpisodes(Closing):
         self._budget = budget
         self._store = store
         self._seed_of = seed_of
-        self._under_way: deque[_UnderWay] = deque()
+        self._running: deque[_Running] = deque()
         self._stack = ExitStack()
         self._seq = 0
         self._in_order = True
@@ -72,10 +72,10 @@ class SimulatedEpisodes(Closing):
             epoch: Epoch that they belong to.
             first: Number of the first one in the run.
             count: How many, at most. There are fewer where one ended before its first whole tick:
-                that one is to be begun again.
+                that one has to run again.
 
         Yields:
-            Each episode when it is kept.
+            Each episode when it is stored.
 
         Raises:
             UserError: An error ended one, or its simulator, or it cannot be written down.
@@ -88,65 +88,65 @@ class SimulatedEpisodes(Closing):
             while begun < count and self._in_order and self._pool.free and self._next_ticks:
                 self._begin(epoch, self._seed_of(first + begun), self._next_ticks)
                 begun += 1
-            if self._under_way and self._under_way[0].ticket.arrived:
+            if self._running and self._running[0].future.done():
                 in_order = self._in_order
-                episode = self._keep(self._under_way[0])
-                self._under_way.popleft()  # not before: an interrupt must find it here
+                episode = self._keep(self._running[0])
+                self._running.popleft()  # not before: an interrupt must find it here
                 if episode.failure:
                     raise UserError(episode.failure)
                 if in_order:
                     yield episode
-            elif self._under_way or (begun < count and self._in_order and self._next_ticks):
+            elif self._running or (begun < count and self._in_order and self._next_ticks):
                 self._pool.wait()
             else:
                 return
 
     def close(self) -> None:
-        """Keep what is under way when it is over; closing twice does nothing."""
+        """Wait for the running episodes and store them; closing twice does nothing."""
         ending = sys.exception()
         try:
-            while self._under_way:
-                one = self._under_way[0]
+            while self._running:
+                one = self._running[0]
                 try:
-                    if not one.ticket.arrived:
+                    if not one.future.done():
                         self._pool.wait()
                         continue
                     self._keep(one)
                 except UserError:
                     if ending is None:
                         raise
-                    if not one.ticket.arrived:
-                        continue  # another simulator, which could not be started
+                    if not one.future.done():
+                        continue  # the error of another simulator, which could not be started
                     self._in_order = False  # it cannot be kept, and those after it not without it
-                self._under_way.popleft()
+                self._running.popleft()
         finally:
-            self._under_way.clear()
-            self._stack.close()  # what is not settled counts in full
+            self._running.clear()
+            self._stack.close()  # reservations that are not settled count in full
 
     @property
     def _next_ticks(self) -> int:
         """Ticks of the next episode, 0 if it cannot begin now."""
-        remaining = self._budget.remaining_ticks
-        if remaining < self._pool.episode_ticks and self._under_way:
+        remaining = self._budget.remaining.ticks
+        if remaining < self._pool.episode_ticks and self._running:
             return 0
         return min(self._pool.episode_ticks, remaining)
 
     def _begin(self, epoch: int, seed: int, ticks: int) -> None:
         motion = self._stack.enter_context(self._budget.reserve(ticks))
-        # Of a simulated robot, for which nobody walks to a table, far more than a reset takes.
+        # Far more than a reset takes: no human delay in simulation.
         ahead = self._pool.episode_ticks
         reset = self._stack.enter_context(self._budget.ledger.reserve("reset", ahead))
         try:
-            ticket = self._pool.start(Order(seed, ticks, explores=True))
+            future = self._pool.start(Order(seed, ticks, explores=True))
         except UserError:  # it has not begun
             self._settle(motion, 0)
             self._settle(reset, 0)
             raise
-        self._under_way.append(_UnderWay(epoch, seed, ticket, motion, reset))
+        self._running.append(_Running(epoch, seed, future, motion, reset))
 
-    def _keep(self, one: _UnderWay) -> SimulatedEpisode:
-        """Store and settle an episode; after an interrupt the same may be asked again."""
-        episode = one.ticket.take()
+    def _keep(self, one: _Running) -> SimulatedEpisode:
+        """Store and settle an episode; it may be called again after an interrupt."""
+        episode = one.future.result()
         reset_ticks = episode.reset_ticks
         if not self._seq:  # one robot is opened once, however many simulators there are
             reset_ticks += self._pool.opened_ticks
@@ -166,7 +166,7 @@ class SimulatedEpisodes(Closing):
             entry.settle(ticks)
 
 
-def _stored(one: _UnderWay, episode: SimulatedEpisode, begins: int) -> StoredEpisode:
+def _stored(one: _Running, episode: SimulatedEpisode, begins: int) -> StoredEpisode:
     assert episode.data is not None
     return StoredEpisode(
         epoch=one.epoch,

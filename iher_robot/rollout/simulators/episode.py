@@ -1,4 +1,4 @@
-"""An episode in a simulator of another process, and how it comes here."""
+"""Episode of a simulator process: what is ordered, recorded and sent back."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from iher_robot.env.goal_env import GoalRobotEnv, Observation
+from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.episode import Episode
-from iher_robot.rollout.episode import Recorder
+from iher_robot.rollout.observer import EpisodeStart
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.simulators.messages import Message, pack_episodes, unpack_episodes
 from iher_robot.storage.episode import RecordedTick
+from iher_robot.storage.robot_time import RobotTime
 
 
 @dataclass(frozen=True)
 class Order:
-    """What a simulator is to run.
+    """Order to a simulator process: run one episode.
 
     Attributes:
         seed: Decides start, goal and noise.
         ticks: Most ticks to run.
-        explores: Whether the policy's actions are disturbed.
+        explores: Whether the explorer disturbs the actions.
     """
 
     seed: int
@@ -32,20 +34,20 @@ class Order:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedEpisode:
-    """What became of an order.
+    """Outcome and data of an ordered episode.
 
     Attributes:
         ticks: Control ticks charged.
         reset_ticks: Control ticks that the reset took.
         success: Whether the last step met the goal.
         aborted: Why the episode could not go on, empty if it could.
-        policy_source: Source that the policy was told.
-        ended: How it ended, in words.
+        policy_source: Index of the replay source that the policy was conditioned on.
+        ended: ``"done"``, or why it ended early.
         failure: A sentence for the user where an error ended it, else empty.
         steps: For each tick, the simulator's counter at its end, from the end of the reset on.
             ``(length,)``
         elapsed: Ticks charged for each. ``(length,)``
-        data: What was recorded; None before the first whole tick.
+        data: The record; None before the first whole tick.
     """
 
     ticks: int
@@ -66,17 +68,17 @@ class SimulatedEpisode:
     @staticmethod
     def from_message(message: Message) -> SimulatedEpisode:
         """Read what ``SentRecorder.message`` returned."""
-        told = dict(message)
-        episodes = unpack_episodes(told.pop("episodes"))
-        steps, elapsed = told.pop("steps").numpy(), told.pop("elapsed").numpy()
-        del told["kind"]
+        values = dict(message)
+        episodes = unpack_episodes(values.pop("episodes"))
+        steps, elapsed = values.pop("steps").numpy(), values.pop("elapsed").numpy()
+        del values["kind"]
         return SimulatedEpisode(
-            **told, steps=steps, elapsed=elapsed, data=episodes[0] if episodes else None
+            **values, steps=steps, elapsed=elapsed, data=episodes[0] if episodes else None
         )
 
 
 class SentRecorder(Recorder):
-    """Counts the ticks of an episode that is told to another process when it is over.
+    """Records an episode that is sent to the training process when it has ended.
 
     Args:
         env: The simulator, which is open.
@@ -91,18 +93,18 @@ class SentRecorder(Recorder):
         self._seqs: list[int] = []
         self._elapsed: list[int] = []
 
-    def start(self, observation: Observation) -> None:
-        """Take the observation of a reset."""
-        super().start(observation)
+    def start(self, start: EpisodeStart) -> None:
+        """Note the reset's duration."""
+        super().start(start)
         assert self._env.state is not None, "a reset that returns leaves a state"
         self._first = self._env.state.seq
         self._reset_ticks = self._ticks_since_begun()
 
     def message(self, ended: str, failure: str) -> Message:
-        """All of it, for ``SimulatedEpisode.from_message``.
+        """The message for ``SimulatedEpisode.from_message``.
 
         Args:
-            ended: How the episode ended, in words.
+            ended: ``"done"``, or why the episode ended early.
             failure: A sentence for the user where an error ended it, else empty.
         """
         episode, reset_ticks = self.episode(), self._reset_ticks
@@ -127,4 +129,5 @@ class SentRecorder(Recorder):
 
     def _ticks_since_begun(self) -> int:
         driver = self._env.driver
-        return -(-(driver.now_ns - self._begun_ns) // driver.spec.control_period_ns)
+        elapsed_ns = driver.now_ns - self._begun_ns
+        return RobotTime.from_ns(elapsed_ns, driver.spec.control_period_s).ticks

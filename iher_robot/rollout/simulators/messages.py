@@ -1,4 +1,4 @@
-"""What a run and its other processes tell each other: dicts as torch files, never executed."""
+"""Messages between a run and its child processes: dicts as torch files, never executed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from iher_robot.learning.episode import Episode
 Message = dict[str, Any]
 
 GONE = (EOFError, ConnectionError)
-"""Errors of a message where the other side is gone."""
+"""Errors that mean that the other side has closed the connection."""
 
 _ARRAYS = tuple(field.name for field in dataclasses.fields(Episode))
 
@@ -24,11 +24,11 @@ def send_message(connection: Connection, message: Mapping[str, Any]) -> None:
     """Send a message; waits until the other side has room for it.
 
     Args:
-        connection: The way to the other side.
+        connection: Connection to the other side.
         message: Dicts, lists, text, numbers, tensors.
 
     Raises:
-        OSError: The other side is gone.
+        OSError: The other side has closed it.
     """
     connection.send_bytes(pack_message(message))
 
@@ -37,32 +37,32 @@ def receive_message(connection: Connection) -> Message:
     """Wait for the next message; its tensors are on the CPU.
 
     Raises:
-        EOFError: The other side is gone.
-        OSError: It went in the middle of a message.
+        EOFError: The other side has closed it.
+        OSError: It closed it in the middle of a message.
     """
     return unpack_message(connection.recv_bytes())
 
 
 def pack_message(message: Mapping[str, Any]) -> memoryview:
-    """A message as bytes. Dicts, lists, text, numbers, tensors."""
+    """Serialize a message of dicts, lists, text, numbers and tensors."""
     buffer = io.BytesIO()
     torch.save(dict(message), buffer)
     return buffer.getbuffer()
 
 
 def unpack_message(content: bytes | memoryview) -> Message:
-    """Read what ``pack_message`` returned; its tensors are on the CPU."""
+    """Deserialize the result of ``pack_message``; its tensors are on the CPU."""
     message: Message = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     return message
 
 
 def pack_episodes(episodes: Iterable[Episode]) -> list[dict[str, torch.Tensor]]:
-    """Episodes as they travel, in the precision that they have."""
+    """Serialize episodes, in their own precision."""
     return [
         {name: torch.as_tensor(getattr(episode, name)) for name in _ARRAYS} for episode in episodes
     ]
 
 
 def unpack_episodes(packed: Iterable[Mapping[str, torch.Tensor]]) -> list[Episode]:
-    """Read what ``pack_episodes`` returned."""
+    """Deserialize the result of ``pack_episodes``."""
     return [Episode(**{name: one[name].numpy() for name in _ARRAYS}) for one in packed]

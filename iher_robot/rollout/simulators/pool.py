@@ -1,9 +1,10 @@
-"""Simulators in processes of their own, which run whole episodes side by side."""
+"""Pool of simulator processes, which run whole episodes in parallel."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from multiprocessing.connection import wait
 
 from drivers.closing import Closing
@@ -26,35 +27,8 @@ _AHEAD = 2
 """Episodes for each simulator that may begin before the oldest of them is over."""
 
 
-class Ticket:
-    """An episode that was begun.
-
-    Attributes:
-        arrived: Whether ``take`` need not wait.
-    """
-
-    def __init__(self) -> None:
-        self._outcome: SimulatedEpisode | UserError | None = None
-
-    @property
-    def arrived(self) -> bool:
-        """Whether it is known what became of it."""
-        return self._outcome is not None
-
-    def take(self) -> SimulatedEpisode:
-        """What became of it.
-
-        Raises:
-            UserError: Nobody knows: its simulator is gone.
-        """
-        assert self._outcome is not None, "wait comes first"
-        if isinstance(self._outcome, UserError):
-            raise self._outcome
-        return self._outcome
-
-    def settle(self, outcome: SimulatedEpisode | UserError) -> None:
-        """Say what became of it, for the pool."""
-        self._outcome = outcome
+EpisodeFuture = Future[SimulatedEpisode]
+"""An ordered episode; its exception is a `UserError` where the simulator is gone."""
 
 
 class _Simulator(ChildProcess):
@@ -63,28 +37,28 @@ class _Simulator(ChildProcess):
             PROGRAM, "a simulator's process", "continue the run with: iher-robot train --resume"
         )
         self.ready = False
-        self.ticket: Ticket | None = None
-        """Of the episode that it was told last."""
+        self.episode: EpisodeFuture | None = None
+        """The episode that it was ordered last."""
         self.actor = 0
 
     @property
     def busy(self) -> bool:
-        """Whether it has something to tell yet."""
-        return not self.ready or not (self.ticket is None or self.ticket.arrived)
+        """Whether a message of it is due."""
+        return not self.ready or not (self.episode is None or self.episode.done())
 
 
 class SimulatorPool(Closing):
-    """Runs episodes of one task in several simulators; each is the same wherever it runs.
+    """Runs episodes of one task in several simulator processes; none depends on where it runs.
 
-    Processes, since the policy and inverse kinematics hold Python's lock for half of a tick or
-    more. They are started when there is work for them, and kept.
+    Processes, not threads: the policy and inverse kinematics hold Python's lock for half of a tick
+    or more. They are started when there is work for them, and kept.
 
     Args:
         config: Settings of the run: its robot, its task and how many simulators there are.
-        episode_ticks: Of a whole episode.
+        episode_ticks: Control ticks of a whole episode.
 
     Attributes:
-        episode_ticks: Of a whole episode.
+        episode_ticks: Control ticks of a whole episode.
         opened_ticks: Control ticks that it takes to open one of the simulators.
     """
 
@@ -93,21 +67,21 @@ class SimulatorPool(Closing):
         self._simulators: list[_Simulator] = []
         self._actor: Message = {}
         self._actors = 0
-        self._tickets: deque[Ticket] = deque()
+        self._ordered: deque[EpisodeFuture] = deque()
         self._broken = False
         self.episode_ticks = episode_ticks
         self.opened_ticks = 0
 
     def act_as(self, learner: Learner) -> None:
-        """Take over what acts from now on, as it is now; episodes under way keep what they have."""
+        """Set the policy of the episodes that start from now on; running ones keep theirs."""
         self._actor = {"kind": "actor", "snapshot": take_snapshot(learner)}
         self._actors += 1
 
     def expect(self, episodes: int) -> None:
-        """Start processes for so many episodes to come, as far as there are to be any.
+        """Start the processes that a number of episodes can use.
 
         Args:
-            episodes: How many.
+            episodes: Episodes to come.
         """
         while len(self._simulators) < min(episodes, self._config.simulators):
             simulator = _Simulator()
@@ -118,44 +92,47 @@ class SimulatorPool(Closing):
     @property
     def free(self) -> bool:
         """Whether an episode can begin at once."""
-        while self._tickets and self._tickets[0].arrived:
-            self._tickets.popleft()
-        room = len(self._tickets) < _AHEAD * len(self._simulators)
+        while self._ordered and self._ordered[0].done():
+            self._ordered.popleft()
+        room = len(self._ordered) < _AHEAD * len(self._simulators)
         return room and not self._broken and self._idle() is not None
 
-    def start(self, order: Order) -> Ticket:
-        """Begin an episode.
+    def start(self, order: Order) -> EpisodeFuture:
+        """Start an episode.
 
         Args:
-            order: What to run.
+            order: The episode.
+
+        Returns:
+            The episode, done after a `wait`.
 
         Raises:
-            UserError: The simulator is gone; it has not begun.
+            UserError: The simulator is gone; the episode has not begun.
         """
         simulator = self._idle()
         assert simulator is not None, "ask first whether one is free"
         if simulator.actor != self._actors:
             simulator.send(self._actor)
             simulator.actor = self._actors
-        ticket = Ticket()
-        simulator.ticket = ticket  # first: after an interrupt it takes no other one
-        self._tickets.append(ticket)
+        episode = EpisodeFuture()
+        simulator.episode = episode  # first: after an interrupt it takes no other one
+        self._ordered.append(episode)
         simulator.send({"kind": "episode"} | vars(order))
-        return ticket
+        return episode
 
     def wait(self) -> None:
-        """Wait until some simulator has something to tell.
+        """Wait for the next message of any simulator, and take it in.
 
         Raises:
             UserError: One could not be started.
         """
         busy = {s.connection: s for s in self._simulators if s.busy and s.is_open}
-        assert busy, "nothing is under way"
+        assert busy, "no episode is running"
         for connection in wait(list(busy)):
-            self._hear(busy[connection])  # type: ignore[index]
+            self._receive(busy[connection])  # type: ignore[index]
 
     def run(self, learner: Learner, seeds: Sequence[int]) -> Iterator[SimulatedEpisode]:
-        """Run episodes without noise that cost nothing and are not kept.
+        """Run episodes without noise, which are neither charged nor stored.
 
         Args:
             learner: Acts as it is now.
@@ -169,14 +146,14 @@ class SimulatorPool(Closing):
         """
         self.act_as(learner)
         self.expect(len(seeds))
-        left, tickets = deque(seeds), deque[Ticket]()
-        while left or tickets:
+        left, ordered = deque(seeds), deque[EpisodeFuture]()
+        while left or ordered:
             while left and self.free:
-                tickets.append(self.start(Order(left.popleft(), self.episode_ticks, False)))
-            if not (tickets and tickets[0].arrived):
+                ordered.append(self.start(Order(left.popleft(), self.episode_ticks, False)))
+            if not (ordered and ordered[0].done()):
                 self.wait()
                 continue
-            episode = tickets.popleft().take()
+            episode = ordered.popleft().result()
             if episode.failure:
                 raise UserError(episode.failure)
             yield episode
@@ -190,7 +167,7 @@ class SimulatorPool(Closing):
     def _idle(self) -> _Simulator | None:
         return next((s for s in self._simulators if not s.busy), None)
 
-    def _hear(self, simulator: _Simulator) -> None:
+    def _receive(self, simulator: _Simulator) -> None:
         try:
             message = simulator.receive(0.0)
             if message is not None:
@@ -198,24 +175,24 @@ class SimulatorPool(Closing):
         except UserError as error:
             if not self._lose(simulator, error):
                 raise
-        except BaseException:  # an interrupt: what it said is gone, and nobody may wait for it
-            self._lose(simulator, simulator.unheard())
+        except BaseException:  # an interrupt: the message is lost, and must not be waited for
+            self._lose(simulator, simulator.lost_message())
             raise
 
     def _take(self, simulator: _Simulator, message: Message) -> None:
         if message["kind"] == "ready":
             simulator.ready, self.opened_ticks = True, message["opened_ticks"]
             return
-        assert simulator.ticket is not None, "a simulator tells of what it was told to run"
-        simulator.ticket.settle(SimulatedEpisode.from_message(message))
+        assert simulator.episode is not None, "a simulator sends what it was ordered"
+        simulator.episode.set_result(SimulatedEpisode.from_message(message))
 
     def _lose(self, simulator: _Simulator, error: UserError) -> bool:
-        """Do without a simulator; returns whether it had an episode, whose ticket has the error."""
+        """Drop a simulator; return whether an episode was running, which then has the error."""
         self._broken = True
-        ticket = simulator.ticket
-        ran = ticket is not None and not ticket.arrived
-        if ticket is not None and ran:
-            ticket.settle(error)  # first: somebody may wait for it
+        episode = simulator.episode
+        ran = episode is not None and not episode.done()
+        if episode is not None and ran:
+            episode.set_exception(error)  # first: a caller may wait for it
         simulator.close()
         self._simulators.remove(simulator)
         return ran

@@ -1,4 +1,4 @@
-"""The process of a simulator: runs the episodes that it is told until its starter ends."""
+"""Simulator process: runs ordered episodes until the training process ends it."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError, describe
 from iher_robot.learning.exploration import Explorer
 from iher_robot.learning.policy import Policy
+from iher_robot.rollout.actor import PolicyActor
 from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.simulators.actor import read_snapshot
-from iher_robot.rollout.simulators.child_process import end_with_the_other_side
+from iher_robot.rollout.simulators.child_process import exit_on_hangup
 from iher_robot.rollout.simulators.episode import Order, SentRecorder
 from iher_robot.rollout.simulators.messages import GONE, Message, receive_message, send_message
 from iher_robot.storage.episode import DONE
 from tasks import TaskError
 
-_TOLD = (UserError, DriverError, TaskError)
-"""Errors that say what is wrong in a sentence."""
+_EXPECTED = (UserError, DriverError, TaskError)
+"""Errors whose message is a sentence for the user."""
 
 
 def main(descriptor: int) -> None:
-    """Be a simulator.
+    """Run the simulator process.
 
     Args:
-        descriptor: Of the socket to the process that started this one.
+        descriptor: File descriptor of the socket to the training process.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
-    end_with_the_other_side(descriptor)
+    exit_on_hangup(descriptor)
     connection = Connection(descriptor)
     with suppress(*GONE):  # as this process is about to be
         try:
             _serve(connection)
-        except _TOLD as error:
+        except _EXPECTED as error:
             send_message(connection, {"kind": "failed", "sentence": str(error)})
 
 
@@ -59,8 +60,8 @@ def _serve(connection: Connection) -> None:
                     order["snapshot"], config.learner, env.task.contact_model
                 )
             else:
-                told = Order(order["seed"], order["ticks"], order["explores"])
-                send_message(connection, _run(env, told, policy, explorer))
+                episode = Order(order["seed"], order["ticks"], order["explores"])
+                send_message(connection, _run(env, episode, policy, explorer))
 
 
 def _run(env: GoalRobotEnv, order: Order, policy: Policy, explorer: Explorer) -> Message:
@@ -69,15 +70,14 @@ def _run(env: GoalRobotEnv, order: Order, policy: Policy, explorer: Explorer) ->
     try:
         run_episode(
             env,
-            policy,
+            PolicyActor(policy, explorer if order.explores else None),
             recorder,
             seed=order.seed,
             ticks=order.ticks,
-            explorer=explorer if order.explores else None,
         )
-    except _TOLD as error:
+    except _EXPECTED as error:
         ended, failure = describe(error), str(error)
-    except Exception as error:  # noqa: BLE001 - what was recorded is told with it
+    except Exception as error:  # noqa: BLE001 - what was recorded is sent with it
         traceback.print_exc()
         ended = describe(error)
         failure = f"an episode in a simulator ended by {ended}, see its messages above"

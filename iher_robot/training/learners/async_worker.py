@@ -1,4 +1,4 @@
-"""The process of a learner: learns what it is given until the run that started it ends."""
+"""Child process of an asynchronous learner: learns epochs until its run ends."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from drivers import DriverError
 from iher_robot.config.run import RunConfig
 from iher_robot.errors import UserError
-from iher_robot.rollout.simulators.child_process import end_with_the_other_side
+from iher_robot.rollout.simulators.child_process import exit_on_hangup
 from iher_robot.rollout.simulators.messages import (
     GONE,
     Message,
@@ -28,13 +28,13 @@ from tasks import TaskError
 
 
 def main(descriptor: int) -> None:
-    """Be the learner.
+    """Run the learner process.
 
     Args:
-        descriptor: Of the socket to the run.
+        descriptor: File descriptor of the socket to the run.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the run, which gets one too, ends this process
-    end_with_the_other_side(descriptor)  # in the middle of learning, too
+    exit_on_hangup(descriptor)  # in the middle of learning, too
     connection = Connection(descriptor)
     with suppress(*GONE):  # as this process is about to be
         try:
@@ -49,7 +49,7 @@ def _serve(connection: Connection) -> None:
     learner = begin_learner(begin, config, partial(receive_message, connection))
 
     def progress(phase: str, done: int, total: int) -> None:
-        # Never waited for: the run looks only between two episodes.
+        # Dropped rather than waited for: the run receives only between two episodes.
         if select.select([], [connection], [], 0.0)[1]:
             send_message(
                 connection, {"kind": "progress", "phase": phase, "done": done, "total": total}
@@ -73,6 +73,6 @@ def _serve(connection: Connection) -> None:
 
 
 def _learned(metrics: Mapping[str, Any], state: dict[str, Any]) -> Message:
-    # NumPy's numbers would be objects, which nobody reads.
+    # NumPy's scalars would be objects, which weights_only refuses.
     plain = {key: v.item() if hasattr(v, "item") else v for key, v in metrics.items()}
     return {"kind": "learned", "metrics": plain, "state": state}

@@ -1,4 +1,4 @@
-"""A learner in a process of its own, one epoch behind the robot."""
+"""Asynchronous learner: a child process learns, one epoch behind the robot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from iher_robot.learning.progress import Progress
 from iher_robot.rollout.simulators.child_process import ChildProcess
 from iher_robot.rollout.simulators.messages import Message, pack_episodes
-from iher_robot.training.epoch import EpochData, Learned
+from iher_robot.training.epoch import EpochData, LearnedEpoch
 from iher_robot.training.learners.base import RunLearner
 from iher_robot.training.learners.messages import begin_messages
 from iher_robot.training.recovery import Restored
@@ -22,14 +22,14 @@ os.nice(10)  # on a busy machine the control loop goes first
 from iher_robot.training.learners.async_worker import main
 main(int(sys.argv[2]))
 """
-"""What the process runs."""
+"""Source of the process."""
 
 
 class LearnerProcess(ChildProcess):
-    """Starts it, talks to it, and ends it.
+    """The child process that learns.
 
     Args:
-        run: Folder of the run, which can be resumed later.
+        run: The run folder, for advice in messages.
     """
 
     def __init__(self, run: Path) -> None:
@@ -43,57 +43,57 @@ _LOOK_S = 0.2
 class AsyncLearner(RunLearner):
     """Learns an epoch while the robot collects the next one.
 
-    Here is a copy of the learner that acts, replaced by each epoch that comes back: in simulation
-    when the next one was collected, so that a run depends on no clock; on a robot in real time
-    between two episodes, as soon as it is there.
+    This process has a copy of the learner, which acts. Each epoch that comes back replaces it: in
+    simulation when the next epoch was collected, so that a run depends on no clock; on a robot in
+    real time between two episodes, as soon as it arrives.
 
     Args:
-        cell: Robot, and the learner that acts.
-        process: Where learning happens.
-        progress: Told how far each phase is while an epoch is waited for.
+        setup: Robot, and the learner that acts.
+        process: The child process.
+        progress: Called with the progress of each phase while waiting for an epoch.
     """
 
-    def __init__(self, cell: TrainingSetup, process: LearnerProcess, progress: Progress) -> None:
-        super().__init__(cell.learner)
-        self._cell = cell
+    def __init__(self, setup: TrainingSetup, process: LearnerProcess, progress: Progress) -> None:
+        super().__init__(setup.learner)
+        self._setup = setup
         self._process = process
         self._progress = progress
-        self._prompt = cell.env.driver.paces_itself
+        self._prompt = setup.env.driver.paces_itself
         self._phase = ("learn", 0, 0)
         self._arrived: Message | None = None
         self._state: dict[str, Any] = {}
 
     def begin(self, restored: Restored) -> None:
-        """Take over the state of a stopped run, or begin as a new one."""
+        """Start as a new run, or from the state of a stopped one."""
         self._process.start()
-        for message in begin_messages(self._cell, restored):
+        for message in begin_messages(self._setup, restored):
             self._process.send(message)
         if restored.learner is not None:
             self._act_as(restored.learner)
 
-    def exchange(self, lesson: EpochData | None) -> Learned | None:
+    def exchange(self, epoch: EpochData | None) -> LearnedEpoch | None:
         """Wait for the epoch under way, and hand the next one over."""
-        learned = None if self.under_way is None else Learned(self.under_way, self._wait())
-        self.under_way = lesson
-        if lesson is not None:
+        learned = None if self.under_way is None else LearnedEpoch(self.under_way, self._wait())
+        self.under_way = epoch
+        if epoch is not None:
             self._process.send(
                 {
                     "kind": "learn",
-                    "episodes": pack_episodes(lesson.episodes),
-                    "evaluate": lesson.evaluate,
+                    "episodes": pack_episodes(epoch.episodes),
+                    "evaluate": epoch.evaluate,
                 }
             )
         return learned
 
     def look(self) -> None:
-        """Take in what has arrived."""
+        """Receive messages, and switch to a newer policy on a robot in real time."""
         while self._receive(0.0):
             pass
         if self._prompt and self._arrived is not None:
             self._catch_up(self._arrived["state"])
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps of the learner."""
+        """State for a checkpoint."""
         return self._state
 
     def close(self) -> None:
@@ -124,7 +124,7 @@ class AsyncLearner(RunLearner):
             self._act_as(state)
 
     def _act_as(self, state: dict[str, Any]) -> None:
-        # Streams of another device do not fit here, and nothing that acts draws from them.
+        # Random states of another device do not fit here, and acting does not draw from them.
         ours = {"generator": self.learner.generator.get_state()}
         if self.learner.contact is not None:
             ours["contact"] = state["contact"] | {

@@ -1,4 +1,4 @@
-"""The learner of a run, in turn with the robot or beside it."""
+"""Run learner: learns one epoch at a time, wherever it computes; and the synchronous one."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from iher_robot.evaluation.success_rate import RunSeeds, evaluate_learner
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.progress import Progress
-from iher_robot.training.epoch import EpochData, Learned, Row
+from iher_robot.training.epoch import EpochData, LearnedEpoch, Row
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import TrainingSetup
 
 
 class RunLearner(Closing):
-    """Learns an epoch at a time, wherever it computes.
+    """Learns one epoch at a time.
 
     Attributes:
-        learner: The learner as it is after the epoch that came back last; it acts, and is judged.
-        under_way: What is being learned, None where nothing is.
+        learner: The learner after the last epoch that came back; it acts, and is evaluated.
+        under_way: The epoch that is being learned, None if there is none.
     """
 
     def __init__(self, learner: Learner) -> None:
@@ -32,18 +32,18 @@ class RunLearner(Closing):
 
     @abstractmethod
     def begin(self, restored: Restored) -> None:
-        """Take over the state of a stopped run, or begin as a new one."""
+        """Start as a new run, or from the state of a stopped one."""
 
     @abstractmethod
-    def exchange(self, lesson: EpochData | None) -> Learned | None:
-        """Hand over an epoch, and take one back.
+    def exchange(self, epoch: EpochData | None) -> LearnedEpoch | None:
+        """Hand over an epoch, and take a learned one back.
 
         Args:
-            lesson: The epoch; None where there is none.
+            epoch: The epoch; None if there is none.
 
         Returns:
-            The same epoch where learning is in turn with the robot; else the one before, which is
-            waited for. None where there is none.
+            A synchronous learner returns the same epoch; an asynchronous one waits for the epoch
+            before and returns it. None if there is none.
 
         Raises:
             UserError: The learner cannot go on.
@@ -51,7 +51,7 @@ class RunLearner(Closing):
 
     @abstractmethod
     def look(self) -> None:
-        """Let between two episodes a newer policy act from now on, if there is one.
+        """Switch to a newer policy between two episodes, if there is one.
 
         Raises:
             UserError: The learner cannot go on.
@@ -59,49 +59,49 @@ class RunLearner(Closing):
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps of the learner after the epoch that came back last."""
+        """State for a checkpoint, after the last epoch that came back."""
 
 
 class SyncLearner(RunLearner):
     """Learns in this process, while the robot is held.
 
     Args:
-        cell: Robot, simulator and learner.
-        progress: Told how far each phase is.
+        setup: Robot, simulator and learner.
+        progress: Called with the progress of each phase.
     """
 
-    def __init__(self, cell: TrainingSetup, progress: Progress) -> None:
-        super().__init__(cell.learner)
-        self._cell = cell
+    def __init__(self, setup: TrainingSetup, progress: Progress) -> None:
+        super().__init__(setup.learner)
+        self._setup = setup
         self._progress = progress
 
     def begin(self, restored: Restored) -> None:
-        """Take over the state of a stopped run, or begin as a new one."""
+        """Start as a new run, or from the state of a stopped one."""
         if restored.learner is not None:
             self.learner.load_state_dict(restored.learner, restored.by_epoch)
 
-    def exchange(self, lesson: EpochData | None) -> Learned | None:
+    def exchange(self, epoch: EpochData | None) -> LearnedEpoch | None:
         """Learn an epoch."""
-        if lesson is None:
+        if epoch is None:
             return None
         metrics = learn_epoch(
             self.learner,
-            lesson.episodes,
-            self._cell.config,
-            self._cell.run_simulated if lesson.evaluate else None,
+            epoch.episodes,
+            self._setup.config,
+            self._setup.run_simulated if epoch.evaluate else None,
             self._progress,
         )
-        return Learned(lesson, metrics)
+        return LearnedEpoch(epoch, metrics)
 
     def look(self) -> None:
         """Nothing changes between two episodes."""
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps of the learner."""
+        """State for a checkpoint."""
         return self.learner.state_dict()
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: it holds no resources."""
 
 
 def learn_epoch(
@@ -117,8 +117,8 @@ def learn_epoch(
         learner: The learner.
         episodes: The episodes.
         config: Settings of the run.
-        run_seeds: Runs the episodes to evaluate it by afterwards; None for none.
-        progress: Told how far each phase is.
+        run_seeds: Runs the episodes of an evaluation afterwards; None for no evaluation.
+        progress: Called with the progress of each phase.
 
     Returns:
         Metrics of learning and of the evaluation.

@@ -1,4 +1,4 @@
-"""The learner of the process that has the robot, where ``torchrun`` started several."""
+"""Distributed learner of the process with the robot; ``torchrun`` started the others."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from types import TracebackType
 from iher_robot.errors import UserError
 from iher_robot.learning.progress import Progress
 from iher_robot.rollout.simulators.messages import pack_episodes
-from iher_robot.training.epoch import EpochData, Learned
+from iher_robot.training.epoch import EpochData, LearnedEpoch
 from iher_robot.training.learners.base import SyncLearner
-from iher_robot.training.learners.messages import begin_messages, weights_number
+from iher_robot.training.learners.messages import begin_messages, weights_checksum
 from iher_robot.training.learners.process_group import PeerGone, PeerGroup
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import TrainingSetup
@@ -22,26 +22,26 @@ _NEWS_S = 0.5
 
 
 class DistributedLearner(SyncLearner):
-    """Learns in this process and at the same time in others, while the robot is held.
+    """Learns in this process and in its peers at the same time, while the robot is held.
 
-    All of them are told everything that this one learns from, and share every batch.
+    All processes get the same episodes and share every batch.
 
     Args:
-        cell: Robot, simulator and learner, whose peers are the group.
-        group: The processes.
-        run: Folder of the run, which can be resumed later.
-        progress: Told how far each phase is.
+        setup: Robot, simulator and learner, whose peers are the group.
+        group: The process group.
+        run: The run folder, for advice in messages.
+        progress: Called with the progress of each phase.
     """
 
     def __init__(
-        self, cell: TrainingSetup, group: PeerGroup, run: Path, progress: Progress
+        self, setup: TrainingSetup, group: PeerGroup, run: Path, progress: Progress
     ) -> None:
-        super().__init__(cell, progress)
+        super().__init__(setup, progress)
         self._group = group
         self._advice = f"continue with: iher-robot train --resume {shlex.quote(str(run))}"
 
     def begin(self, restored: Restored) -> None:
-        """Meet the others, and take over the state of a stopped run, or begin as a new one."""
+        """Join the process group, and start as a new run or from the state of a stopped one."""
         try:
             self._group.join()
         except RuntimeError as error:
@@ -50,34 +50,34 @@ class DistributedLearner(SyncLearner):
                 f"other: {error}; on one machine give torchrun --standalone, on several name "
                 "the network by GLOO_SOCKET_IFNAME"
             ) from error
-        with self._gone_in_words():
-            for message in begin_messages(self._cell, restored):
+        with self._explain_lost_peer():
+            for message in begin_messages(self._setup, restored):
                 self._group.send(message)
         super().begin(restored)
 
-    def exchange(self, lesson: EpochData | None) -> Learned | None:
-        """Learn an epoch together."""
-        if lesson is None:
+    def exchange(self, epoch: EpochData | None) -> LearnedEpoch | None:
+        """Learn an epoch in all processes."""
+        if epoch is None:
             return None
-        with self._gone_in_words():
-            self._group.send({"kind": "learn", "episodes": pack_episodes(lesson.episodes)})
-            learned = super().exchange(lesson)
-            if not self._group.agree_on(weights_number(self.learner)):
+        with self._explain_lost_peer():
+            self._group.send({"kind": "learn", "episodes": pack_episodes(epoch.episodes)})
+            learned = super().exchange(epoch)
+            if not self._group.agree_on(weights_checksum(self.learner)):
                 raise UserError(
-                    f"after epoch {lesson.epoch} the weights of the {self._group.world_size} "
-                    "processes differ: their processors or versions of torch round differently; start "
-                    f"all of them on machines of one kind; {self._advice}"
+                    f"after epoch {epoch.number} the weights of the {self._group.world_size} "
+                    "processes differ: their processors or versions of torch round differently; "
+                    f"start all of them on machines of one kind; {self._advice}"
                 )
         return learned
 
     def look(self) -> None:
-        """Nothing changes between two episodes, but that another process may be gone."""
+        """Check that no peer is gone; the policy does not change between two episodes."""
         gone = self._group.missed()
         if gone is not None:
-            raise self._in_words(gone)
+            raise self._lost_peer_error(gone)
 
     def close(self) -> None:
-        """End the others."""
+        """End the peers."""
         self._group.close()
 
     def __exit__(
@@ -90,16 +90,16 @@ class DistributedLearner(SyncLearner):
         gone = self._group.missed(_NEWS_S) if isinstance(error, KeyboardInterrupt) else None
         super().__exit__(kind, error, trace)
         if gone is not None:
-            raise self._in_words(gone) from error
+            raise self._lost_peer_error(gone) from error
 
     @contextmanager
-    def _gone_in_words(self) -> Iterator[None]:
+    def _explain_lost_peer(self) -> Iterator[None]:
         try:
             yield
         except PeerGone as gone:
-            raise self._in_words(gone) from None
+            raise self._lost_peer_error(gone) from None
 
-    def _in_words(self, gone: PeerGone) -> UserError:
+    def _lost_peer_error(self, gone: PeerGone) -> UserError:
         return UserError(
             f"process {gone.rank} of the {self._group.world_size} that learn together is gone; "
             f"nothing recorded is lost, {self._advice}"

@@ -1,4 +1,4 @@
-"""What a learner in another process is told when it begins, and what it makes of it."""
+"""Start-up messages for a remote learner, and the learner made from them."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from iher_robot.training.setup import TrainingSetup, make_learner
 from tasks import make_task
 
 
-def begin_messages(cell: TrainingSetup, restored: Restored) -> Iterator[Message]:
-    """What makes a learner the one of a run.
+def begin_messages(setup: TrainingSetup, restored: Restored) -> Iterator[Message]:
+    """Describe the learner of a run.
 
     Args:
-        cell: Robot and settings.
-        restored: State of a stopped run, or of none.
+        setup: Robot and settings.
+        restored: State of the run so far.
 
     Yields:
         The messages, one at a time: all real episodes of a run need not fit in one.
     """
     yield {
         "kind": "begin",
-        "config": cell.config.model_dump_json(),
-        "spec": cell.env.robot_spec.to_dict(),
-        "simulated": cell.simulator is not None,
+        "config": setup.config.model_dump_json(),
+        "spec": setup.env.robot_spec.to_dict(),
+        "simulated": setup.simulator is not None,
         "state": restored.learner,
         "epochs": len(restored.by_epoch),
     }
@@ -47,13 +47,13 @@ def begin_learner(
     """Make the learner that ``begin_messages`` describe.
 
     Args:
-        begin: The first of them.
-        config: Settings of the run, which it holds.
-        receive: Waits for the next one.
-        peers: Learners with which it shares every batch.
+        begin: The first message.
+        config: Settings of the run, from that message.
+        receive: Waits for the next message.
+        peers: Learners that share every batch with it.
 
     Returns:
-        The learner, as the run has it.
+        The learner in the state of the run.
 
     Raises:
         UserError: A setting that this machine cannot meet.
@@ -67,8 +67,8 @@ def begin_learner(
     return learner
 
 
-def weights_number(learner: Learner) -> int:
-    """A number from 0 to 2**63 - 1 that tells weights apart: networks, targets, optimisers."""
+def weights_checksum(learner: Learner) -> int:
+    """Checksum of networks, targets and optimisers, from 0 to 2**63 - 1."""
     parts: list[Any] = [learner.policy.snapshot()["actor"], learner.ddpg.state_dict()]
     parts.append(learner.ensemble.state_dict()["members"])
     if learner.contact is not None:

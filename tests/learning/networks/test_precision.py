@@ -5,12 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from iher_robot.learning.config import Precision
 from iher_robot.learning.networks import precision
-from iher_robot.learning.networks.precision import (
-    Precision,
-    pick_matmul_dtype,
-    set_float32_precision,
-)
+from iher_robot.learning.networks.precision import pick_matmul_dtype, set_float32_precision
 from tests.learning.fakes import CPU
 from tests.learning.small_learner import new, quick, real
 

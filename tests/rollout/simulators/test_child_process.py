@@ -25,7 +25,7 @@ def test_a_program_ends_without_an_error_when_nobody_is_there_any_more(
         raise error
 
     monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr(program, "end_with_the_other_side", lambda _: None)
+    monkeypatch.setattr(program, "exit_on_hangup", lambda _: None)
     monkeypatch.setattr(program, "_serve", serve)
     ours, its = socket.socketpair()
     ours.close()

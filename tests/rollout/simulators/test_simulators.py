@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,20 +25,24 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation.evaluate import evaluate
 from iher_robot.evaluation.success_rate import run_simulated
 from iher_robot.learning.episode import Episode
-from iher_robot.rollout.episode import Recorder, Stream, episode_seed, run_episode
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.episode import Stream, episode_seed, run_episode
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.simulators import pool as pool_module
 from iher_robot.rollout.simulators.collect import SimulatedEpisodes
 from iher_robot.rollout.simulators.episode import Order, SimulatedEpisode
-from iher_robot.rollout.simulators.pool import SimulatorPool, Ticket
+from iher_robot.rollout.simulators.pool import EpisodeFuture, SimulatorPool
 from iher_robot.storage.budget import Budget
 from iher_robot.storage.episode import StoredEpisode
 from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
 from iher_robot.storage.files.sqlite import Database
 from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.setup import open_pool, open_training_setup
 from iher_robot.training.train import TrainResult, resume
+from tests.forked import run_forked
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
 from tests.small_runs import run as run_small
@@ -193,45 +195,42 @@ def test_a_learner_beside_evaluates_the_same_in_simulators_of_its_own(tmp_path: 
 
 def test_what_explores_in_another_process_is_what_would_explore_here() -> None:
     """The second policy of Push included, before and after it rests."""
-    config = load_config("push", "default", "iher", ["simulators=2"], {}, robot="fetch-mocap")
-    with open_training_setup(config) as cell:
-        assert cell.pool is not None
-        assert cell.learner.contact is not None
+    config = load_config("push", overrides=["simulators=2"], robot="fetch-mocap")
+    with open_training_setup(config) as setup:
+        assert setup.pool is not None
+        assert setup.learner.contact is not None
         for rests, seeds in ((False, (3, 1, 2)), (True, (4, 5))):
-            cell.learner.contact.rests = rests
-            cell.pool.act_as(cell.learner)
+            setup.learner.contact.rests = rests
+            setup.pool.act_as(setup.learner)
             for explores in (True, False):
-                found = list(run_all(cell.pool, [Order(seed, 20, explores) for seed in seeds]))
+                found = list(run_all(setup.pool, [Order(seed, 20, explores) for seed in seeds]))
                 for seed, other in zip(seeds, found, strict=True):
                     recorder = Recorder()
-                    run_episode(
-                        cell.env,
-                        cell.learner.acting_policy(torch.device("cpu")),
-                        recorder,
-                        seed=seed,
-                        ticks=20,
-                        explorer=cell.learner.explorer() if explores else None,
+                    actor = PolicyActor(
+                        setup.learner.acting_policy(torch.device("cpu")),
+                        setup.learner.explorer() if explores else None,
                     )
+                    run_episode(setup.env, actor, recorder, seed=seed, ticks=20)
                     assert_same_episode(recorder.episode(), other.episode())
                     assert recorder.policy_source == other.policy_source
                     assert recorder.success == other.success
-        here = list(run_simulated(cell.env, cell.learner, range(7, 10)))
-        beside = list(cell.pool.run(cell.learner, range(7, 10)))
+        here = list(run_simulated(setup.env, setup.learner, range(7, 10)))
+        beside = list(setup.pool.run(setup.learner, range(7, 10)))
         for one, other in zip(here, beside, strict=True):
             assert_same_episode(one.episode(), other.episode())
 
 
 def run_all(pool: SimulatorPool, orders: list[Order]) -> Iterator[SimulatedEpisode]:
     pool.expect(len(orders))
-    tickets: list[Ticket] = []
+    episodes: list[EpisodeFuture] = []
     for order in orders:
         while not pool.free:
             pool.wait()
-        tickets.append(pool.start(order))
-    for ticket in tickets:
-        while not ticket.arrived:
+        episodes.append(pool.start(order))
+    for episode in episodes:
+        while not episode.done():
             pool.wait()
-        yield ticket.take()
+        yield episode.result()
 
 
 class FakePool:
@@ -244,7 +243,7 @@ class FakePool:
 
     def __init__(self, simulators: int, lengths: list[int], order: Iterator[int]) -> None:
         self._simulators, self._lengths, self._order = simulators, lengths, order
-        self._running: list[tuple[Ticket, Order, int]] = []
+        self._running: list[tuple[EpisodeFuture, Order, int]] = []
         self.most = 0
         self.ran: list[tuple[int, int]] = []
         """Seed and length of each episode, in the order in which they began."""
@@ -257,20 +256,20 @@ class FakePool:
     def free(self) -> bool:
         return len(self._running) < self._simulators
 
-    def start(self, order: Order) -> Ticket:
+    def start(self, order: Order) -> EpisodeFuture:
         wanted = self._lengths[order.seed % len(self._lengths)]
         if not wanted and (order.seed, 0) in self.ran:
             wanted = EPISODE_TICKS
         self.ran.append((order.seed, min(wanted, order.ticks)))
-        self._running.append((Ticket(), order, self.ran[-1][1]))
+        self._running.append((EpisodeFuture(), order, self.ran[-1][1]))
         self.most = max(self.most, len(self._running))
         return self._running[-1][0]
 
     def wait(self) -> None:
-        ticket, order, length = self._running.pop(next(self._order) % len(self._running))
+        episode, order, length = self._running.pop(next(self._order) % len(self._running))
         zeros = np.zeros((length, 1))
         data = Episode(np.zeros((length + 1, 1)), zeros, zeros, np.ones(length, bool), np.zeros(1))
-        ticket.settle(
+        episode.set_result(
             SimulatedEpisode(
                 ticks=max(length, 1),
                 reset_ticks=1,
@@ -295,16 +294,16 @@ def collect(
         Ledger(folder / "ledger.sqlite") as ledger,
         EpisodeStore(folder / "episodes") as store,
     ):
-        budget = Budget(ledger, budget_ticks)
+        budget = Budget(ledger, RobotTime(budget_ticks, 0.04))
         episodes = SimulatedEpisodes(pool, budget, store, lambda number: number)
         collected, epoch = 0, 1
         learner: Any = None
         with episodes:
-            while budget.remaining_ticks:
+            while budget.remaining.ticks:
                 have = 0
-                while have < 3 and budget.remaining_ticks:
+                while have < 3 and budget.remaining.ticks:
                     for one in episodes.run(learner, epoch=epoch, first=collected, count=3 - have):
-                        assert budget.spent_ticks <= budget_ticks
+                        assert budget.spent.ticks <= budget_ticks
                         have += one.data is not None
                         collected += one.data is not None
                 epoch += 1
@@ -424,17 +423,19 @@ def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
     pool: Any = FakePool(2, [EPISODE_TICKS], itertools.cycle([0]))
     start = pool.start
 
-    def refused(order: Order) -> Ticket:
+    def refused(order: Order) -> EpisodeFuture:
         if order.seed == 1:
             raise UserError("the simulator is gone")
-        return cast(Ticket, start(order))
+        return cast(EpisodeFuture, start(order))
 
     pool.start = refused
     learner: Any = None
     with Ledger(tmp_path / "ledger") as ledger, EpisodeStore(tmp_path / "episodes") as store:
         with (
             pytest.raises(UserError, match="the simulator is gone"),
-            SimulatedEpisodes(pool, Budget(ledger, TICKS), store, lambda n: n) as episodes,
+            SimulatedEpisodes(
+                pool, Budget(ledger, RobotTime(TICKS, 0.04)), store, lambda n: n
+            ) as episodes,
         ):
             list(episodes.run(learner, epoch=1, first=0, count=3))
         assert [one.seed for one in store] == [0]
@@ -446,8 +447,8 @@ def test_an_episode_that_cannot_begin_costs_nothing(tmp_path: Path) -> None:
 def test_a_killed_run_leaves_no_simulator_and_counts_what_was_reserved(tmp_path: Path) -> None:
     """The second episode is over, and in the journal alone."""
     out, children = tmp_path / "run", tmp_path / "children"
-    done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(children)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    done = run_forked(KILLED, str(out), str(children))
+    assert done.returncode == -signal.SIGKILL, done.stderr
     simulators = list(map(int, children.read_text().split()))
     assert len(simulators) == 2
     try:
@@ -467,7 +468,7 @@ def test_any_other_robot_stays_one(what: str) -> None:
     is_so = {"exclusive": False, "paces_itself": False} | {what: True}
     spec = SimpleNamespace(physical=what == "physical")
     env: Any = SimpleNamespace(driver=SimpleNamespace(spec=spec, **is_so))
-    config = load_config("push", "default", "iher", ["simulators=2"])
+    config = load_config("push", overrides=["simulators=2"])
     with (
         ExitStack() as stack,
         pytest.raises(UserError, match=r"^simulators is 2, but mujoco fetch .* allowed: 1; "),

@@ -24,7 +24,9 @@ from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.policy_file import PolicyFile, save_policy
 from iher_robot.learning.policy import Policy
-from iher_robot.rollout.episode import Recorder, run_episode
+from iher_robot.rollout.actor import PolicyActor
+from iher_robot.rollout.episode import run_episode
+from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.robot import RobotEpisodes
 from iher_robot.storage.episode_store import EpisodeReader
 from iher_robot.storage.ledger import Ledger
@@ -35,6 +37,7 @@ from iher_robot.training.learners.asynchronous import AsyncLearner, LearnerProce
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import make_learner, open_training_setup
 from iher_robot.training.train import resume, train
+from tests.forked import run_forked
 from tests.served.served_robot import PATIENT, ServedRobot, eventually, is_running
 from tests.small_runs import (
     TINY,
@@ -206,8 +209,8 @@ def test_a_learner_that_ends_ends_the_run_with_a_sentence_and_costs_nothing(
 
 def test_a_killed_run_leaves_no_process_and_loses_nothing(tmp_path: Path) -> None:
     out, children = tmp_path / "run", tmp_path / "children"
-    done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(children)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    done = run_forked(KILLED, str(out), str(children))
+    assert done.returncode == -signal.SIGKILL, done.stderr
     (learner,) = map(int, children.read_text().split())
     try:
         assert eventually(lambda: not is_running(learner))
@@ -284,15 +287,14 @@ def test_what_a_learner_on_another_device_made_acts_and_is_kept_whole(tmp_path: 
         def send(self, message: object) -> None:
             pass
 
-    options = {"device": "cpu", "asynchronous": True}
-    with open_training_setup(load_config("push", "default", "iher", [], options)) as cell:
-        there = make_learner(cell.config, cell.env.task, torch.device("cpu"))
+    with open_training_setup(load_config("push", device="cpu", asynchronous=True)) as setup:
+        there = make_learner(setup.config, setup.env.task, torch.device("cpu"))
         there.epoch = 7
         with torch.no_grad():
             next(iter(there.policy.actor.parameters())).add_(1.0)
         state = there.state_dict()
         state["generator"] = state["contact"]["generator"] = torch.zeros(16, dtype=torch.uint8)
-        beside = AsyncLearner(cell, Silent(tmp_path), lambda *_: None)
+        beside = AsyncLearner(setup, Silent(tmp_path), lambda *_: None)
         beside.begin(Restored(state, [], [], [], 0))
         acts = beside.learner.policy.snapshot()["actor"]
         assert beside.learner.epoch == 7
@@ -304,11 +306,11 @@ def test_no_garbage_is_collected_between_two_ticks(request: pytest.FixtureReques
     collected: list[int] = []
 
     class Watched(Recorder):
-        def step(self, env: GoalRobotEnv, action: Any) -> Any:
+        def before_tick(self, observation: Any, action: Any) -> None:
             collected.append(len(collections))
             garbage: list[Any] = [[] for _ in range(2000)]
             garbage.append(garbage)
-            return super().step(env, action)
+            super().before_tick(observation, action)
 
     collections: list[str] = []
 
@@ -317,10 +319,9 @@ def test_no_garbage_is_collected_between_two_ticks(request: pytest.FixtureReques
 
     gc.callbacks.append(note)
     request.addfinalizer(lambda: gc.callbacks.remove(note))
-    options = {"device": "cpu", "asynchronous": True}
-    with open_training_setup(load_config("reach", "default", "iher", [], options)) as cell:
-        policy = cell.learner.acting_policy(torch.device("cpu"))
-        run_episode(cell.env, policy, Watched(), seed=0, ticks=5)
+    with open_training_setup(load_config("reach", device="cpu", asynchronous=True)) as setup:
+        policy = setup.learner.acting_policy(torch.device("cpu"))
+        run_episode(setup.env, PolicyActor(policy), Watched(), seed=0, ticks=5)
     assert len(collected) == 5
     assert len(set(collected)) == 1
     assert gc.isenabled()

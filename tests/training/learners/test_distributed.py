@@ -22,7 +22,7 @@ from iher_robot.storage.provenance import read_provenance
 from iher_robot.training import loop as loop_module
 from iher_robot.training.learners import distributed_worker as distributed_worker_module
 from iher_robot.training.learners.distributed import DistributedLearner
-from iher_robot.training.learners.messages import weights_number
+from iher_robot.training.learners.messages import weights_checksum
 from iher_robot.training.learners.process_group import PeerGone, PeerGroup
 from iher_robot.training.learners.torchrun import TorchrunRank
 from iher_robot.training.train import resume
@@ -248,7 +248,7 @@ def test_what_cannot_be_shared_is_refused_before_anything_is_made(
 
 
 def test_a_process_without_a_gpu_of_its_own_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = load_config("reach", "default", "iher", [], {"device": "auto"})
+    config = load_config("reach", device="auto")
     require = distributed_worker_module._require_device
     require(config, TorchrunRank(rank=1, world_size=2, local_rank=1))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -291,7 +291,7 @@ def test_weights_that_differ_end_the_run_with_a_sentence(
     group = Apart()
 
     def learning(self: loop_module.TrainingRun) -> DistributedLearner:
-        return DistributedLearner(self.cell, cast(PeerGroup, group), Path("r"), self._phase)
+        return DistributedLearner(self.setup, cast(PeerGroup, group), Path("r"), self._phase)
 
     monkeypatch.setattr(loop_module.TrainingRun, "_make_learning", learning)
     with pytest.raises(UserError, match=r"after epoch 1 the weights of the 2 .* --resume r$"):
@@ -304,13 +304,13 @@ def test_weights_that_differ_end_the_run_with_a_sentence(
 def test_a_single_weight_makes_another_number() -> None:
     config = quick(contact={"enabled": True, "hidden": (16, 16)})
     learners = [new(config, contact_model=PointMassGoals()) for _ in range(2)]
-    number = weights_number(learners[0])
+    number = weights_checksum(learners[0])
     assert 0 <= number < 2**63
-    assert weights_number(learners[1]) == number
+    assert weights_checksum(learners[1]) == number
     one, contact = learners[0], learners[0].contact
     assert contact is not None
     for module in (one.ddpg.critics, one.policy.actor, one.ensemble.members, contact.ddpg.critics):
         with torch.no_grad():
             next(iter(module.parameters())).view(-1)[0] += 1e-6
-        assert weights_number(one) != number
-        number = weights_number(one)
+        assert weights_checksum(one) != number
+        number = weights_checksum(one)

@@ -1,4 +1,4 @@
-"""What robot time was spent, and more of it: the application behind ``iher-robot budget``."""
+"""Robot time spent by account, and grants of more: the application of ``iher-robot budget``."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from iher_robot.config.robot_link import link_of
 from iher_robot.datasets.run_reader import RunData
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import ACCOUNTS, Account, read_accounts
-from iher_robot.storage.budget import Budget, budget_ticks
 from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 
 @dataclass(frozen=True)
@@ -22,30 +22,21 @@ class Spending:
     """Robot time by account.
 
     Attributes:
-        whose: A run or a robot, in words.
-        control_period_s: Time of a control tick.
-        spent_ticks: Ticks by account.
-        budget_ticks: Ticks of motion that may be spent in all, None for a robot, which has no
-            budget of its own.
-        granted_ticks: Those among them that were granted after the run began.
+        whose: Name of the run or robot.
+        spent: Time spent on each account.
+        budget: Time of motion that may be spent in all; None for a robot, which has no budget.
+        granted: The part of the budget that was granted after the run began.
     """
 
     whose: str
-    control_period_s: float
-    spent_ticks: Mapping[Account, int]
-    budget_ticks: int | None = None
-    granted_ticks: int = 0
+    spent: Mapping[Account, RobotTime]
+    budget: RobotTime | None = None
+    granted: RobotTime | None = None
 
     @property
-    def left_ticks(self) -> int | None:
-        """Ticks of motion that are left, None where there is no budget."""
-        if self.budget_ticks is None:
-            return None
-        return max(0, self.budget_ticks - self.spent_ticks["motion"])
-
-    def minutes(self, ticks: int) -> float:
-        """Robot minutes of so many ticks."""
-        return ticks * self.control_period_s / 60.0
+    def left(self) -> RobotTime | None:
+        """Time of motion that is left, None without a budget."""
+        return None if self.budget is None else self.budget.minus(self.spent["motion"])
 
 
 def spending_of_run(path: Path) -> Spending:
@@ -58,14 +49,14 @@ def spending_of_run(path: Path) -> Spending:
         UserError: There is no run, it has not begun, or a part of it is damaged.
     """
     with RunData(path) as run:
-        period_s = _control_period_s(run)
+        first = _first_budget(run)
         accounts = read_accounts(run.directory.ledger_path)
+        granted = first.with_ticks(accounts.granted_ticks)
         return Spending(
             whose=f"run {path}",
-            control_period_s=period_s,
-            spent_ticks=accounts.spent,
-            budget_ticks=_first_ticks(run) + accounts.granted_ticks,
-            granted_ticks=accounts.granted_ticks,
+            spent={account: first.with_ticks(ticks) for account, ticks in accounts.spent.items()},
+            budget=first + granted,
+            granted=granted,
         )
 
 
@@ -83,8 +74,11 @@ def spending_of_robot(robot: ChosenRobot) -> Spending:
     """
     with RobotClient(link_of(robot)) as client:
         status = read_status(client, client.options.timeout_s)
-    ticks = {account: status.total_ticks.get(account, 0) for account in ACCOUNTS}
-    return Spending(f"robot {status.robot}", status.control_period_s, ticks)
+    spent = {
+        account: RobotTime(status.total_ticks.get(account, 0), status.control_period_s)
+        for account in ACCOUNTS
+    }
+    return Spending(f"robot {status.robot}", spent)
 
 
 def grant(path: Path, minutes: float) -> Spending:
@@ -102,27 +96,15 @@ def grant(path: Path, minutes: float) -> Spending:
             control tick.
     """
     with RunData(path) as run:
-        ticks = budget_ticks(minutes, _control_period_s(run))
+        more = RobotTime.from_minutes(minutes, _first_budget(run).control_period_s)
         read_accounts(run.directory.ledger_path)  # which does not make one that is missing
         with Ledger(run.directory.ledger_path) as ledger:
-            ledger.grant(ticks)
-            total = Budget(ledger, _first_ticks(run)).budget_ticks
-            spent = {account: ledger.spent_ticks(account) for account in ACCOUNTS}
-            return Spending(
-                whose=f"run {path}",
-                control_period_s=_control_period_s(run),
-                spent_ticks=spent,
-                budget_ticks=total,
-                granted_ticks=ledger.granted_ticks,
-            )
+            ledger.grant(more.ticks)
+    return spending_of_run(path)
 
 
-def _first_ticks(run: RunData) -> int:
-    return budget_ticks(run.config.budget_minutes, _control_period_s(run))
-
-
-def _control_period_s(run: RunData) -> float:
+def _first_budget(run: RunData) -> RobotTime:
     run.directory.check_config()
     if run.robot is None:
         raise UserError(f"{run.path} has not begun: nothing is spent, and nothing can be granted")
-    return run.robot.control_period_s
+    return RobotTime.from_minutes(run.config.budget_minutes, run.robot.control_period_s)
