@@ -10,10 +10,10 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from iher_robot._shadowing import require_packages_beside
+from iher_robot._shadowing import require_own_packages
 from iher_robot.version import __version__
 
-require_packages_beside("drivers", "tasks")
+require_own_packages("drivers", "tasks")
 
 from iher_robot.env.registration import register_envs, register_envs_with_gymnasium  # noqa: E402
 from iher_robot.errors import UserError  # noqa: E402

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.training import setup as setup_module
 from iher_robot.training import train as train_module
 from iher_robot.training.train import TrainResult, train
@@ -93,4 +93,4 @@ def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
         with original(config) as cell:
             yield dataclasses.replace(cell, simulator=None)
 
-    monkeypatch.setattr(train_module, "open_workcell", without_simulator)
+    monkeypatch.setattr(train_module, "open_training_setup", without_simulator)

@@ -1,4 +1,4 @@
-"""The simulated Fetch robot, with the physics of gymnasium-robotics' ``Fetch*-v4``."""
+"""Driver of the simulated Fetch robot, with the physics of gymnasium-robotics' ``Fetch*-v4``."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from drivers.state import AppliedCommand, RobotState
 class MujocoDriver(RobotDriver):
     """A Fetch robot in MuJoCo.
 
-    In ``joint`` actuation motors move its joints, within the limits of the real one. In
-    ``mocap`` actuation a mocap body drags the gripper along and nothing enforces joint limits:
-    it equals gymnasium-robotics' environments, for benchmarks in simulation.
+    In ``joint`` actuation motors move its joints, within the limits of the real robot. In
+    ``mocap`` actuation a mocap body drags the gripper along, as in gymnasium-robotics'
+    environments, and joint limits are not enforced: for benchmarks in simulation only.
 
     The clock is simulated, so that a pause never makes a state stale.
     """
 
     def __init__(self, scene: str = "push", robot: FetchRobot | None = None) -> None:
-        """Compile a scene and find where its episodes start.
+        """Compile a scene and compute its start state.
 
         Args:
             scene: ``"reach"``, ``"push"``, ``"pick_and_place"`` or ``"slide"``.
-            robot: What distinguishes this robot from other Fetch robots.
+            robot: Parameters of the robot.
 
         Raises:
             UnknownDriver: If there is no such scene.
@@ -67,18 +67,18 @@ class MujocoDriver(RobotDriver):
         self._measured: RobotState | None = None
 
     def snapshot(self) -> mujoco.MjData:
-        """Return an exact copy of the simulation; `mj_getState` would lose what actions read."""
+        """Return an exact copy of the simulation; `mj_getState` lacks data that commands use."""
         with self._hooks:
             return copy.copy(self._data)
 
     def restore(self, data: mujoco.MjData) -> None:
         """Continue from a snapshot, or from a simulation of the same model elsewhere.
 
-        States read before are no longer answerable, as after a reset; a camera has seen
-        nothing yet, and noise is drawn anew.
+        As after a reset, states read before cannot be answered any more, the camera starts
+        without a measurement, and the noise starts from its seed.
 
         Args:
-            data: Copied, not kept.
+            data: The simulation, which is copied.
 
         Raises:
             LifecycleError: If the driver is not open.
@@ -100,7 +100,7 @@ class MujocoDriver(RobotDriver):
         goal: NDArray[np.float64] | None = None,
         reached: bool = False,
     ) -> NDArray[np.uint8]:
-        """Return a picture of the scene. Without a display MUJOCO_GL must be set.
+        """Return an image of the scene. Without a display MUJOCO_GL must be set.
 
         Args:
             width: Pixels.
@@ -112,23 +112,23 @@ class MujocoDriver(RobotDriver):
             RGB. ``(height, width, 3)``
 
         Raises:
-            CannotRender: If nothing draws here.
+            CannotRender: If this machine cannot render.
         """
         with self._hooks:
             return self._pictures.take(self._data, (width, height), goal, reached)
 
     def show(self, goal: NDArray[np.float64] | None = None, reached: bool = False) -> bool:
-        """Bring MuJoCo's viewer up to date; the first call opens it, `close` closes it.
+        """Update MuJoCo's viewer; the first call opens it, `close` closes it.
 
         Args:
             goal: Marked in red, or in green once it is reached, world frame, m. ``(3,)``
             reached: Whether the goal is reached.
 
         Returns:
-            Whether the window is open still.
+            Whether the window is still open.
 
         Raises:
-            CannotRender: If no window opens here.
+            CannotRender: If no window can be opened.
         """
         with self._hooks:
             return self._pictures.show(self._data, goal, reached)
@@ -189,7 +189,7 @@ class MujocoDriver(RobotDriver):
         self._measure()
 
     def _measure(self) -> None:
-        """Measure once a tick: pictures are taken whether anybody reads or not."""
+        """Measure once per tick, since the camera must also measure in ticks without a read."""
         self._measured = self._sensors.read(
             self._data,
             self._seq,
@@ -202,7 +202,7 @@ class MujocoDriver(RobotDriver):
 
 
 def make_fetch(*, scene: str, **options: object) -> MujocoDriver:
-    """Make a simulated Fetch robot, as the registry of drivers asks for one.
+    """Make a simulated Fetch robot; a `drivers.registry.DriverFactory`.
 
     Args:
         scene: Name of the scene.

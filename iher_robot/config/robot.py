@@ -1,4 +1,4 @@
-"""The robot of a run: a driver, and the options that a robot file gives it."""
+"""Choice of a robot: a driver and the options from a robot file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from iher_robot.errors import UserError
 DEFAULT_DRIVER = "mujoco"
 REMOTE_DRIVER = "zenoh"
 OWN_ROBOT_FILE = "robot.yaml"
-"""A user's own robot, in the working folder."""
+"""Default robot file of a user, in the working folder."""
 
-# Of a driver not in here: its own defaults.
+# Other drivers use their own defaults.
 _DEFAULT_ROBOTS = {DEFAULT_DRIVER: "fetch", REMOTE_DRIVER: "fetch"}
 
-# What the environment decides itself; the rest of a file is for the driver to judge.
+# Keys that the environment sets itself; the driver checks all other keys.
 _NOT_OF_A_ROBOT = ("ask_human", "driver_name", "name", "render_mode", "scene", "task_name")
 
 _PATHS = ("password_file", *TLS_PATHS)
@@ -30,13 +30,13 @@ _PATHS = ("password_file", *TLS_PATHS)
 
 @dataclass(frozen=True)
 class ChosenRobot:
-    """A robot as a run begins with it, whatever becomes of its file.
+    """A driver with the options of a robot, as read from its file.
 
     Attributes:
         driver: Name of the driver.
         name: Name of a shipped robot, for driver ``"zenoh"`` that of a robot on the network, or
             the path of a file; empty for the driver's own defaults.
-        options: What the file says, for the driver.
+        options: Options for the driver, from the file.
     """
 
     driver: str
@@ -45,12 +45,12 @@ class ChosenRobot:
 
     @property
     def title(self) -> str:
-        """Driver and robot in two words, such as ``"mujoco fetch"``."""
+        """Driver and robot, such as ``"mujoco fetch"``."""
         return f"{self.driver} {Path(self.name).stem}".rstrip()
 
     @property
     def command_options(self) -> str:
-        """What to add to a command so that it uses this robot; empty for the default one."""
+        """Command-line options that select this robot; empty for the default one."""
         words = [] if self.driver == DEFAULT_DRIVER else ["--driver", self.driver]
         if self.name != _DEFAULT_ROBOTS.get(self.driver, ""):
             words += ["--robot", self.name]
@@ -65,17 +65,17 @@ class ChosenRobot:
         render_mode: str | None = None,
         ask_human: Callable[[str], None] | None = None,
     ) -> GoalRobotEnv:
-        """Put a task on the robot, which is not yet connected.
+        """Make the environment of a task on this robot, not yet connected.
 
         Args:
             task: Name of the task.
             render_mode: ``"rgb_array"`` or None.
-            ask_human: Called with what a person has to do at a reset; returns when it is done
-                and hands are clear. Without it a reset that needs a person is an error.
+            ask_human: Called with the instruction for a person at a reset; returns when that is
+                done and hands are clear. Without it a reset that needs a person is an error.
 
         Raises:
             UserError: The robot does not fit the task, or cannot render.
-            DriverError: There is no such driver, or it does not take these options.
+            DriverError: The driver does not exist, or does not take these options.
         """
         try:
             return make_env(
@@ -93,19 +93,20 @@ def choose_robot(
     connect: Sequence[str] = (),
     default_driver: str = DEFAULT_DRIVER,
 ) -> ChosenRobot:
-    """Read the file of a robot.
+    """Choose a robot and read its file.
 
     Args:
-        driver: Name of the driver; where None what the robot's file names, or the default.
+        driver: Name of the driver; where None that of the robot's file, or the default.
         robot: Name of a shipped robot, for driver ``"zenoh"`` that of a robot on the network, or
             the path of a YAML file; the driver's default where None.
         connect: Where to reach a robot on the network, such as ``"tcp/10.0.0.7:7447"``; what
             its file says, or this machine, where empty.
-        default_driver: The driver that nobody has to name.
+        default_driver: Driver if neither the argument nor the file names one.
 
     Raises:
-        UserError: No such robot, no valid YAML, a key that is not the robot's, another driver
-            than the file names, or `connect` for a robot that is not on the network.
+        UserError: The robot does not exist, its file is not valid YAML, has a key that is not
+            allowed or names another driver, or `connect` is given for a robot that is not on the
+            network.
     """
     origin, options = "", {}
     named = driver
@@ -133,10 +134,10 @@ def choose_robot(
 def choose_own_robot(
     driver: str | None, robot: str | None, connect: Sequence[str] = ()
 ) -> ChosenRobot:
-    """Read the file of the robot that a command for real robots means.
+    """Choose the robot of a command for real robots.
 
-    Where neither driver nor robot is given it is ``robot.yaml`` in this folder, if there is one,
-    else ``fetch`` on the network; the arguments and errors are those of `choose_robot`.
+    Without driver and robot: ``robot.yaml`` in the working folder if it exists, else ``fetch`` on
+    the network. Arguments and errors are those of `choose_robot`.
     """
     if driver is None and robot is None and Path(OWN_ROBOT_FILE).is_file():
         robot = OWN_ROBOT_FILE
@@ -152,13 +153,13 @@ def _checked(origin: str, values: Mapping[Any, Any]) -> dict[str, Any]:
     return options
 
 
-def _named_driver(origin: str, named: object, asked: str | None) -> str | None:
-    """Return the driver that a robot's file names, which nothing else may contradict."""
+def _named_driver(origin: str, named: object, requested: str | None) -> str | None:
+    """Return the driver that a robot's file names; another requested one is an error."""
     if named is not None and (not isinstance(named, str) or not named):
         raise UserError(f"{origin}: driver is {named!r}, allowed: the name of a driver")
-    if asked is not None and named != asked:
+    if requested is not None and named != requested:
         raise UserError(
-            f"{origin}: driver is {named!r}, but {asked!r} is asked for; leave out --driver, or "
-            "give the file of another robot"
+            f"{origin}: driver is {named!r}, but {requested!r} was requested; leave out "
+            "--driver, or give the file of another robot"
         )
     return named

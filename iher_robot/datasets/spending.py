@@ -22,13 +22,13 @@ class Spending:
     """Robot time by account.
 
     Attributes:
-        whose: Name of the run or robot.
+        owner: The run or robot.
         spent: Time spent on each account.
         budget: Time of motion that may be spent in all; None for a robot, which has no budget.
         granted: The part of the budget that was granted after the run began.
     """
 
-    whose: str
+    owner: str
     spent: Mapping[Account, RobotTime]
     budget: RobotTime | None = None
     granted: RobotTime | None = None
@@ -40,20 +40,20 @@ class Spending:
 
 
 def spending_of_run(path: Path) -> Spending:
-    """What a run has spent, even while it goes on.
+    """Robot time of a run, even while it is in progress.
 
     Args:
         path: The run's folder.
 
     Raises:
-        UserError: There is no run, it has not begun, or a part of it is damaged.
+        UserError: There is no run, it has not begun, or it is damaged.
     """
     with RunData(path) as run:
         first = _first_budget(run)
         accounts = read_accounts(run.directory.ledger_path)
         granted = first.with_ticks(accounts.granted_ticks)
         return Spending(
-            whose=f"run {path}",
+            owner=f"run {path}",
             spent={account: first.with_ticks(ticks) for account, ticks in accounts.spent.items()},
             budget=first + granted,
             granted=granted,
@@ -61,15 +61,15 @@ def spending_of_run(path: Path) -> Spending:
 
 
 def spending_of_robot(robot: ChosenRobot) -> Spending:
-    """What a served robot has done over all runs and learners, as its host counts.
+    """Robot time of a served robot over all runs and learners, as its host counts it.
 
-    Motion there is every tick in which it was armed, evaluation and deployment included.
+    The account ``motion`` holds every armed tick, evaluation and deployment included.
 
     Args:
         robot: The robot.
 
     Raises:
-        UserError: A robot without a host.
+        UserError: The robot has no host.
         DriverError: The host does not answer.
     """
     with RobotClient(link_of(robot)) as client:
@@ -82,22 +82,22 @@ def spending_of_robot(robot: ChosenRobot) -> Spending:
 
 
 def grant(path: Path, minutes: float) -> Spending:
-    """Give a run more robot minutes; ``iher-robot train --resume`` spends them.
+    """Grant a run more robot minutes, for ``iher-robot train --resume``.
 
     Args:
         path: The run's folder.
         minutes: Robot minutes of motion.
 
     Returns:
-        How the run stands then.
+        The run's robot time afterwards.
 
     Raises:
-        UserError: There is no run, it has not begun or is under way, or the minutes hold no
-            control tick.
+        UserError: There is no run, it has not begun or is in progress, or the minutes are shorter
+            than a control tick.
     """
     with RunData(path) as run:
         more = RobotTime.from_minutes(minutes, _first_budget(run).control_period_s)
-        read_accounts(run.directory.ledger_path)  # which does not make one that is missing
+        read_accounts(run.directory.ledger_path)  # `Ledger` would create a missing one
         with Ledger(run.directory.ledger_path) as ledger:
             ledger.grant(more.ticks)
     return spending_of_run(path)
@@ -106,5 +106,8 @@ def grant(path: Path, minutes: float) -> Spending:
 def _first_budget(run: RunData) -> RobotTime:
     run.directory.check_config()
     if run.robot is None:
-        raise UserError(f"{run.path} has not begun: nothing is spent, and nothing can be granted")
+        raise UserError(
+            f"{run.path} has not begun, so it has no robot time yet; start it with iher-robot "
+            "train --resume"
+        )
     return RobotTime.from_minutes(run.config.budget_minutes, run.robot.control_period_s)

@@ -6,9 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from iher_robot.learning.episode import MOVED_M
-
+# Nothing here loads torch: settings are read by commands that compute nothing.
 Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+
+MOVED_M = 0.01
+"""Displacement of the achieved goal, m, above which an episode counts as one that moved it."""
 
 
 def _none_if_off(value: object) -> object:

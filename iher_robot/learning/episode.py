@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.floating]
 
-MOVED_M = 0.01
-"""Displacement of the achieved goal, m, above which an episode counts as having moved it."""
-
 
 @dataclass(frozen=True)
 class Episode:

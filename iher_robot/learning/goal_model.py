@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from iher_robot.learning.episode import MOVED_M, Episode
+from iher_robot.learning.config import MOVED_M
+from iher_robot.learning.episode import Episode
 
 Array = NDArray[np.floating]
 

@@ -91,7 +91,6 @@ class RealSource:
         def batch_of_one(array: object) -> torch.Tensor:
             return torch.as_tensor(array, device=self.device).unsqueeze(0)
 
-        still = self.config.still_weight
         for segment in segments:
             moved = moved_goal(self.goal_model, segment, self.config.moved_m)
             replay.add(
@@ -100,7 +99,7 @@ class RealSource:
                 batch_of_one(segment.desired_goal),
                 epoch=epoch,
                 requested=batch_of_one(segment.requested_actions),
-                weight=1.0 if moved else still,
+                weight=1.0 if moved else self.config.still_weight,
             )
 
     def sample(self, count: int, replay: EpisodeReplay | None = None) -> Transitions:

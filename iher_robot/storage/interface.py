@@ -1,4 +1,4 @@
-"""What real data mean: task, layout of observations, and the robot that they come from."""
+"""Interface of real data: task, observation layout and robot, in one file next to them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MUST_AGREE = ("task", "layout_digest", "interface_digest")
 
 
 def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
-    """Write down beside data what they mean, or check that it is what they meant before.
+    """Write the interface file of a data folder, or check the one that is there.
 
     Args:
-        directory: Folder of the data; made if it does not exist.
+        directory: Folder of the data; created if it does not exist.
         interface: From ``GoalRobotEnv.policy_interface``.
 
     Raises:
@@ -38,7 +38,7 @@ def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
 
 
 def read_interface(directory: Path) -> dict[str, Any]:
-    """Read what ``keep_interface`` wrote.
+    """Read the interface file of a data folder.
 
     Raises:
         UserError: It is missing or damaged.
@@ -48,14 +48,14 @@ def read_interface(directory: Path) -> dict[str, Any]:
 
 
 def require_same_interface(directory: Path, interface: Mapping[str, Any]) -> None:
-    """Check that data mean the same here as where they come from.
+    """Check that data fit a run.
 
     Args:
         directory: Folder of the data.
-        interface: Of the run that is about to use them.
+        interface: Interface of the run that is about to use them.
 
     Raises:
-        UserError: They do not.
+        UserError: Task, observation layout or robot interface differ.
     """
     found = read_interface(directory)
     for name in _MUST_AGREE:

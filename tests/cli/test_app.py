@@ -22,7 +22,7 @@ from iher_robot.evaluation.video import film
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from tests.forked import run_forked
 from tests.repository import ROOT

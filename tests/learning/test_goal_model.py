@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from iher_robot.learning.episode import MOVED_M, Episode
+from iher_robot.learning.config import MOVED_M
+from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, REAL, moved_goal, source_features
 from tests.learning.point_mass import PointMassGoals
 

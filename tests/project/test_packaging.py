@@ -76,7 +76,7 @@ def test_a_missing_package_is_named_in_the_error(tmp_path: Path) -> None:
         command, cwd=tmp_path, env={}, capture_output=True, text=True, check=False
     )
 
-    assert f"'drivers' at {tmp_path / 'drivers'}, and there is none" in result.stderr
+    assert f"'drivers' at {tmp_path / 'drivers'}, which is missing" in result.stderr
 
 
 # What is heavy, and must not be loaded by what is used often or in many processes.

@@ -237,7 +237,7 @@ def test_a_changed_entry_is_noticed(path: Path) -> None:
     connection.execute(LEDGER.schema[1])
     connection.commit()
     connection.close()
-    with pytest.raises(UserError, match="entry 2 is not as it was written"):
+    with pytest.raises(UserError, match="entry 2 has changed since it was written"):
         Ledger(path)
 
 
@@ -312,7 +312,7 @@ def test_settling_checks_its_ticks_but_never_loses_any(path: Path) -> None:
             with pytest.raises(ValueError, match="-1"):
                 entry.settle(-1)
             entry.settle(3)
-            with pytest.raises(ValueError, match="settled already"):
+            with pytest.raises(ValueError, match="already settled"):
                 entry.settle(2)
         assert ledger.spent_ticks("reset") == 3
         with ledger.reserve("reset", 5) as entry:

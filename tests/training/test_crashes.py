@@ -11,7 +11,8 @@ import pytest
 
 from iher_robot.config.run import load_config
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.recovery import restore

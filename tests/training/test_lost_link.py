@@ -20,7 +20,7 @@ from iher_robot.env import goal_env as goal_env_module
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.learner import Learner
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay

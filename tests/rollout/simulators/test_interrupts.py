@@ -32,8 +32,8 @@ MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # no disk is waited 
 TRACED = tuple(
     f"iher_robot/{name}.py"
     for name in (
-        "storage/episode_journal storage/episode_store rollout/simulators/child_process "
-        "rollout/simulators/collect rollout/simulators/pool"
+        "storage/episode_journal storage/episode_reader storage/episode_store "
+        "rollout/simulators/child_process rollout/simulators/collect rollout/simulators/pool"
     ).split()
 )
 Line = tuple[str, int]

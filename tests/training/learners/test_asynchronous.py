@@ -28,7 +28,7 @@ from iher_robot.rollout.actor import PolicyActor
 from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.robot import RobotEpisodes
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import loop as loop_module
 from iher_robot.training.display import TrainingDisplay
