@@ -21,9 +21,9 @@ SETTLE_TICKS = 15
 
 
 def simulation(env: GoalRobotEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Model of a simulator and an exact copy of its state."""
+    """Model and state of a simulator, to look at."""
     assert isinstance(env.driver, MujocoDriver)
-    return env.driver._model, env.driver.snapshot()
+    return env.driver._model, env.driver._data
 
 
 def object_state(env: GoalRobotEnv) -> tuple[Array, Array]:
@@ -36,12 +36,12 @@ def object_state(env: GoalRobotEnv) -> tuple[Array, Array]:
 
 def put_object(env: GoalRobotEnv, pose: Array, velocity: Array) -> Array:
     """Set pose and velocity of the object; the robot stays. Returns the observation."""
-    model, data = simulation(env)
+    assert isinstance(env.driver, MujocoDriver)
+    model, data = env.driver._model, env.driver.snapshot()
     joint = model.joint(f"{OBJECT}:joint")
     place, speed = joint.qposadr[0], joint.dofadr[0]
     data.qpos[place : place + 7], data.qvel[speed : speed + 6] = pose, velocity
     mujoco.mj_forward(model, data)
-    assert isinstance(env.driver, MujocoDriver)
     env.driver.restore(data)
     env._state = env.driver.read()
     return np.asarray(env.task.observation(env._state))
@@ -51,11 +51,9 @@ def touched(env: GoalRobotEnv) -> bool:
     """Whether some part of the robot touches the object."""
     model, data = simulation(env)
     thing, robot = model.body(OBJECT).id, model.body("robot0:gripper_link").rootid[0]
-    for contact in data.contact[: data.ncon]:
-        bodies = model.geom_bodyid[list(contact.geom)]
-        if thing in bodies and robot in model.body_rootid[bodies]:
-            return True
-    return False
+    bodies = model.geom_bodyid[data.contact.geom]  # (contacts, 2)
+    of_thing, of_robot = bodies == thing, model.body_rootid[bodies] == robot
+    return bool((of_thing.any(-1) & of_robot.any(-1)).any())
 
 
 class Twins:
