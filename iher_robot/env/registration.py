@@ -1,4 +1,4 @@
-"""The environments that Gymnasium knows by id."""
+"""Registration of the environments with Gymnasium."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _EPISODE_TICKS = 50
 
 
 def register_envs() -> None:
-    """Register the simulated tasks with Gymnasium; a second call changes nothing.
+    """Register the simulated tasks with Gymnasium; idempotent.
 
-    Neither driver nor task is imported before one is made.
+    Drivers and tasks are imported only when an environment is made.
     """
     for env_id, task_name in ENV_IDS.items():
         if env_id not in gym.registry:
