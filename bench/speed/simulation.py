@@ -1,4 +1,4 @@
-"""Control ticks of simulated robots, resets included, and inverse kinematics."""
+"""Control ticks of simulated robots, with resets, and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ VECTOR = "gymnasium-robotics, asynchronous"
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """Physics with a mocap body, with motors, and inverse kinematics alone."""
+    """Physics with a mocap body, physics with motors, and inverse kinematics."""
     episodes = settings.sized(8, 1)
     cores = len(os.sched_getaffinity(0))
     with ExitStack() as stack:
@@ -42,7 +42,7 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
         official = make_official()
         stack.callback(official.close)
         learner = learner_of_push(settings, settings.precisions[0], ())
-        act = Acting(learner.acting_policy(CPU))
+        act = BatchActor(learner.acting_policy(CPU))
         at_random, with_policy = [], []
         for workers in settings.sized([cores, 2 * cores], [1]):
             vector = AsyncVectorEnv(
@@ -96,8 +96,8 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
         ]
 
 
-class Acting:
-    """A policy on the CPU that acts on what several robots observe."""
+class BatchActor:
+    """A policy on the CPU that acts on the observations of several robots."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
@@ -123,7 +123,7 @@ def many_simulators(stack: ExitStack, learner: Learner, cores: int, episodes: in
             pass
         return count * EPISODE_TICKS / (time.perf_counter() - started)
 
-    measure(0)  # what starts at first
+    measure(0)  # warm-up: start of the processes
     return Contender(f"iher_robot, {simulators} simulators", measure)
 
 
@@ -141,14 +141,14 @@ def ticks_per_second(env: gym.Env, episodes: int, round_number: int) -> float:
 
 
 def ticks_per_second_of_vector(
-    env: AsyncVectorEnv, episodes: int, act: Acting | None, round_number: int
+    env: AsyncVectorEnv, episodes: int, act: BatchActor | None, round_number: int
 ) -> float:
-    """Ticks of all its environments together; each resets itself in its last step."""
+    """Ticks of all environments together; each resets itself in its last step."""
     actions = random_actions(round_number, EPISODE_TICKS, env.num_envs)
     started = time.perf_counter()
     observation, _ = env.reset(seed=round_number)
     for episode in range(episodes):
-        # The last one resets no more than the others do.
+        # The last episode ends without a reset.
         for action in actions[: EPISODE_TICKS - (episode == episodes - 1)]:
             observation, *_ = env.step(action if act is None else act(observation))
     seconds = time.perf_counter() - started
@@ -160,7 +160,7 @@ def random_actions(seed: int, *shape: int) -> np.ndarray:
 
 
 def solves_per_second(env: GoalRobotEnv, episodes: int, round_number: int) -> float:
-    """From the median time of a joint command for an action."""
+    """Inverse of the median time of a joint command for an action."""
     actions = random_actions(round_number, EPISODE_TICKS)
     times = []
     for episode in range(episodes):
