@@ -2,6 +2,7 @@
 # make train                          learn Push on the simulated robot
 # make train TASK=reach ARGS="..."    another task, more options of `iher-robot train`
 # make test                           the test suite; ARGS="-k name" selects
+# make test-full                      the same with 10,000 safety sequences, as CI runs it
 # make test-ray                       experiments on a Ray cluster of nodes on this machine
 # make check                          format, lint, types, floors
 # make bench                          speeds on this machine against rivals (python -m bench.speed)
@@ -24,7 +25,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -q
 INSTALL := $(PIP) install -c constraints.txt --build-constraint constraints.txt
 
-.PHONY: train install test test-ray check bench bench-sbx bench-link bench-async bench-memory bench-journal \
+.PHONY: train install test test-full test-ray check bench bench-sbx bench-link bench-async bench-memory bench-journal \
 	faults format clean
 
 train: .venv/runtime
@@ -33,11 +34,14 @@ train: .venv/runtime
 install: .venv/runtime
 
 # One thread a worker: two workers whose torch also takes both cores slow each other down. Tests of
-# robots in real time mostly wait, and run apart from those that take all of a core; a file of them shares
-# its host. 5 says that ARGS selects none of a part.
+# robots in real time mostly wait, and run apart from those that take all of a core, three at a time;
+# a file of them shares its host. 5 says that ARGS selects none of a part.
 test: .venv/dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not real_time" $(ARGS) || [ $$? -eq 5 ]
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m real_time $(ARGS) || [ $$? -eq 5 ]
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile -m real_time $(ARGS) || [ $$? -eq 5 ]
+
+test-full: export IHER_ROBOT_SEQUENCES := 10000
+test-full: test
 
 test-ray: .venv/ray
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/experiments/test_ray.py $(ARGS)

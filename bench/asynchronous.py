@@ -28,7 +28,7 @@ from typing import Any
 
 from bench.programs import host
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.provenance import collect_provenance
 
 PERIOD_S = 0.04

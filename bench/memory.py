@@ -41,7 +41,7 @@ from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.mlp import in_blocks
-from iher_robot.learning.replay import BLOCK
+from iher_robot.learning.transitions import BLOCK
 from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.provenance import collect_provenance
@@ -125,7 +125,7 @@ def full() -> dict[str, Any]:
         stages.add("robot, simulator and learner")
         for epoch, count in enumerate(epoch_sizes(learner)):
             learner.add_real(list(variations(recorded, count, epoch)))
-        stages.add(f"{learner.real.num_transitions:,} real")
+        stages.add(f"{learner.real.replay.num_transitions:,} real")
         filled = False
         while not filled:  # whole epochs, each of which adds 200,000 imagined transitions
             filled = learner.imagined.level == TRANSITIONS  # then one more, which refills all
@@ -164,7 +164,7 @@ def restored(*, streamed: bool = False) -> dict[str, Any]:
             by_epoch = [list(episodes) for episodes in by_epoch]
             stages.add("episodes in memory")
         learner.load_state_dict(state, by_epoch)
-        stages.add(f"{learner.real.num_transitions:,} real restored")
+        stages.add(f"{learner.real.replay.num_transitions:,} real restored")
         del by_epoch
         gc.collect()
         stages.add("episodes released")

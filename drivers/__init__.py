@@ -1,4 +1,4 @@
-"""What moves: robots, simulated or remote, and their safety."""
+"""Robot drivers, simulated and remote, with their safety filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One JSON text per value, and its digest."""
+"""Canonical JSON of specification values: conversion, digest, differences."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ def to_json(value: object) -> Json:
         value: Dataclasses, mappings, sequences and scalars, nested.
 
     Returns:
-        The same as dicts, lists and scalars. Infinities become ``"inf"`` and ``"-inf"``,
-        since JSON has none.
+        The same as dicts, lists and scalars. Infinities, which JSON lacks, become ``"inf"`` and
+        ``"-inf"``.
 
     Raises:
-        TypeError: If something else is in there.
-        ValueError: If a number is not a number.
+        TypeError: If it contains a value of another type.
+        ValueError: If it contains NaN.
     """
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
         if math.isnan(value):
-            raise ValueError("nan has no place in a specification")
+            raise ValueError("a specification contains nan, allowed: finite numbers and infinity")
         return value if math.isfinite(value) else ("inf" if value > 0 else "-inf")
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = dataclasses.fields(value)
@@ -56,12 +56,12 @@ def digest(value: object) -> str:
 
 
 def differences(mine: Json, other: Json, path: str = "") -> list[str]:
-    """Name every leaf in which two JSON values differ.
+    """List every leaf in which two JSON values differ.
 
     Args:
         mine: One value.
         other: The value it is compared with.
-        path: Name of the value itself.
+        path: Name of the value, a prefix of the leaves' names.
 
     Returns:
         Sentences such as ``"limits.watchdog_s: 0.1, not 0.2"``, in the order of the names.

@@ -1,4 +1,4 @@
-"""Clocks, injected so that neither a test nor a simulation has to sleep."""
+"""Clocks, passed in so that tests and simulations need not sleep."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Clock(Protocol):
-    """A monotonic clock. Its origin means nothing: only differences on one machine do."""
+    """A monotonic clock. Only differences of its times on one machine have a meaning."""
 
     def now_ns(self) -> int:
         """Return the time in nanoseconds."""
@@ -20,7 +20,7 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The machine's own clock."""
+    """The machine's monotonic clock."""
 
     def now_ns(self) -> int:
         """Return the machine's monotonic time in nanoseconds."""
@@ -33,7 +33,7 @@ class MonotonicClock:
 
 
 class SimulatedClock:
-    """Time that passes only when somebody advances it: a paused simulation is never stale."""
+    """A clock that only moves when it is advanced, so that a paused simulation is never stale."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -43,13 +43,13 @@ class SimulatedClock:
         return self._now_ns
 
     def advance_ns(self, duration_ns: int) -> None:
-        """Let time pass.
+        """Advance the clock.
 
         Args:
-            duration_ns: How much, not negative.
+            duration_ns: Time to add, 0 or more.
 
         Raises:
-            ValueError: If time would run backwards.
+            ValueError: If the duration is negative.
         """
         if duration_ns < 0:
             raise ValueError(f"duration_ns is {duration_ns}, allowed: 0 or more")

@@ -1,4 +1,4 @@
-"""Things that a ``with`` block closes."""
+"""Base class of resources that a ``with`` block closes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Closed at the end of its ``with`` block, whatever ends that."""
+    """A resource that is closed at the end of its ``with`` block, also by an exception."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of everything; twice does nothing."""
+        """Release the resource. Idempotent."""
 
     def __enter__(self) -> Self:
         return self

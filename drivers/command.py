@@ -1,7 +1,7 @@
-"""What is asked of a robot, and what it answers.
+"""Commands and reset requests to a robot, and their results.
 
-Time never crosses machines in a command: it names the state that it answers by sequence,
-and the robot's side judges that state's age on its own clock.
+A command contains no time stamp: it names the state that it answers by sequence, and the robot's
+side checks that state's age on its own clock.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Command(ABC):
     """A target for one control tick.
 
     Attributes:
-        answers: Sequence of the state that the sender had seen.
+        answers: Sequence of the state that it was computed from.
     """
 
     kind: ClassVar[str]
@@ -46,13 +46,12 @@ class Command(ABC):
 
     @abstractmethod
     def check(self, spec: RobotSpec) -> None:
-        """Refuse shapes and values that the robot can never carry out; extended by each kind.
+        """Check shapes and values; each kind extends it.
 
         Raises:
-            InvalidCommand: If a shape is wrong, a value is not finite, or `answers` is no
-                whole number.
+            InvalidCommand: If a shape is wrong, a value is not finite, or `answers` is not an int.
         """
-        if type(self.answers) is not int:  # bool is a kind of int
+        if type(self.answers) is not int:  # bool is a subclass of int
             raise InvalidCommand(
                 f"answers is {self.answers!r}, allowed: the seq of a state, an int"
             )
@@ -60,7 +59,7 @@ class Command(ABC):
 
 @dataclass(frozen=True, eq=False)
 class EndEffectorCommand(Command):
-    """Displace the end effector and the fingers, relative to where they are now.
+    """Displace the end effector and the fingers from their current positions.
 
     Attributes:
         delta_pos: Displacement in the action's frame, m. ``(3,)``
@@ -76,7 +75,7 @@ class EndEffectorCommand(Command):
         object.__setattr__(self, "finger_delta", frozen_array(self.finger_delta))
 
     def check(self, spec: RobotSpec) -> None:
-        """Refuse wrong shapes and values that are not finite."""
+        """Raise `InvalidCommand` for wrong shapes and values that are not finite."""
         super().check(spec)
         _check("delta_pos", self.delta_pos, (3,))
         _check("finger_delta", self.finger_delta, (len(spec.finger_names),))
@@ -89,7 +88,7 @@ class JointCommand(Command):
     Attributes:
         q_target: Target positions, rad or m. ``(n_joints,)``
         dq: Feed-forward velocities at the target. ``(n_joints,)``
-        duration_s: Time to take.
+        duration_s: Time in which to reach the target.
         finger_target: Finger positions, m. ``(n_fingers,)``
     """
 
@@ -104,7 +103,7 @@ class JointCommand(Command):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
     def check(self, spec: RobotSpec) -> None:
-        """Refuse wrong shapes, values that are not finite and durations that are not positive."""
+        """Raise `InvalidCommand` as above, and for a duration that is not positive."""
         super().check(spec)
         n_joints = (len(spec.joint_names),)
         _check("q_target", self.q_target, n_joints)
@@ -117,23 +116,23 @@ class JointCommand(Command):
 
 
 class Refusal(StrEnum):
-    """Why a command was not accepted: things that a correct controller can meet."""
+    """Why a command was not accepted. A correct controller can get each of these."""
 
     DISARMED = "disarmed"
     LATCHED = "latched"
     EXPIRED = "expired"
     UNKNOWN_STATE = "unknown_state"
     BAD_MEASUREMENT = "bad_measurement"
-    """The robot's own state holds values that are not finite: no limit could be checked."""
+    """The robot's state contains values that are not finite, so that no limit can be checked."""
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Whether a command was taken. What was applied arrives in the next state.
+    """Whether a command was accepted. What was applied arrives in the next state.
 
     Attributes:
         refusal: Why it was refused, None if it was accepted.
-        message: The same in words, with values.
+        message: The reason with values, for people; empty if it was accepted.
     """
 
     refusal: Refusal | None = None
@@ -141,18 +140,17 @@ class Acceptance:
 
     @property
     def accepted(self) -> bool:
-        """Whether the command was taken."""
+        """Whether the command was accepted."""
         return self.refusal is None
 
 
 @dataclass(frozen=True)
 class ResetRequest:
-    """Where things should be when an episode starts. The robot itself goes home.
+    """Where objects should be at the start of an episode. The robot itself goes home.
 
     Attributes:
         objects: Position of each object on the table, in the spec's frame, m.
-        seed: Decides what a simulated robot draws by chance, such as noise; a real one
-            takes no notice of it.
+        seed: Seed of a simulated robot's random numbers, such as noise; a real robot ignores it.
     """
 
     objects: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -169,7 +167,7 @@ class ResetOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class ResetResult:
-    """How a reset ended, and what a person has to know or do."""
+    """How a reset ended, with a message that tells a person what to do."""
 
     outcome: ResetOutcome
     message: str = ""

@@ -1,4 +1,4 @@
-"""What an end-effector displacement may be: within the action's scale, the speed and the region."""
+"""Limits of end-effector displacements: the action's scale, the speed and the allowed region."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from drivers.spec import RobotSpec
 Array = NDArray[np.float64]
 
 
-# An action of 1 in single precision, times the scale, exceeds the scale by half a last bit.
+# An action of 1 in single precision, times the scale, can exceed the scale by half a last bit.
 _ROUNDING = 1e-6
 _BISECTIONS = 20
 _NO_GUARDS = np.zeros(0)
 
 
 class DisplacementLimit:
-    """Cuts displacements, each as a whole: its direction stays."""
+    """Scales displacements down to the limits of a robot; their direction stays."""
 
     def __init__(self, spec: RobotSpec) -> None:
         """Set the limits up.
@@ -35,15 +35,15 @@ class DisplacementLimit:
     def limit(
         self, command: EndEffectorCommand, ee_pos: Array, speed_scale: float
     ) -> tuple[EndEffectorCommand, tuple[Clip, ...]]:
-        """Cut a displacement to what is allowed.
+        """Limit a displacement.
 
         Args:
-            command: What was asked.
-            ee_pos: Where the end effector is, m. ``(3,)``
+            command: The requested displacement.
+            ee_pos: Position of the end effector, m. ``(3,)``
             speed_scale: Share of full speed that is allowed, in (0, 1].
 
         Returns:
-            What to apply, the very same command if nothing exceeds, and why it differs.
+            The command to apply, the same object if it exceeds no limit, and why it differs.
         """
         reasons: list[Clip] = []
         # The scales bound each component, as the action space does.

@@ -39,7 +39,7 @@ class RobotDriver(RobotHooks, Closing):
 
     **Description.** `spec` needs no connection. Two digests in it stand for the robot: the
     interface must match between a policy and a robot, a different body is for a person to
-    accept. The host refuses to serve a physical robot that does not hold on silence.
+    accept. A physical robot must declare after which silence it holds by itself.
 
     **Lifecycle.** ``open -> arm -> (read | command | advance)* -> disarm -> close``; `reset`
     belongs between `open` and `arm`. A call out of order raises `LifecycleError`. *Held*
@@ -55,7 +55,7 @@ class RobotDriver(RobotHooks, Closing):
 
     **States.** `read` returns a `RobotState` or raises `StaleState`, for the robot's own
     measurement and for each object by the age limit of its own sensor. `seq` is the robot's
-    tick counter and never falls. `applied` is the last command really applied.
+    tick counter and never decreases. `applied` is the last command that was applied.
 
     **Commands.** `command` hands over a target and returns acceptance only; what was applied
     arrives in the next state. Every command passes the `SafetyFilter` on the robot's side:
@@ -72,7 +72,7 @@ class RobotDriver(RobotHooks, Closing):
     compared across machines: a command names the state that it answers, and expires by that
     state's age on the robot's clock (`limits.watchdog_s`).
 
-    **Reset.** `reset` answers done, needs a human, or failed. After it has asked for a human
+    **Reset.** `reset` returns done, needs a human, or failed. After a reset that needs a human
     nothing moves until `confirm_hands_clear`, and then everything moves at reduced speed
     (`speed_scale`) until a reset is done.
 
@@ -81,21 +81,21 @@ class RobotDriver(RobotHooks, Closing):
     """
 
     exclusive: ClassVar[bool] = False
-    """Whether two drivers of this kind with the same options move the same robot."""
+    """Whether two drivers of this class with the same options move the same robot."""
 
     def __init__(
         self, spec: RobotSpec, clock: Clock | None = None, safety: SafetyFilter | None = None
     ) -> None:
-        """Describe the robot, without a connection.
+        """Prepare the driver, without a connection.
 
         Args:
-            spec: Its description.
-            clock: The robot's clock; the machine's own by default.
-            safety: Judges and limits commands; a `SafetyFilter` of the spec by default. Only a
-                driver whose robot's side has a filter of its own brings another.
+            spec: Description of the robot.
+            clock: The robot's clock; the machine's monotonic clock by default.
+            safety: Checks and limits commands; a `SafetyFilter` of the spec by default. Only the
+                driver of a robot that is filtered on the other side of a link passes another.
 
         Raises:
-            InvalidSpec: If it takes joint commands and its kinematic model cannot be used.
+            InvalidSpec: If the robot takes joint commands and its kinematic model cannot be used.
         """
         self._spec = spec
         self._clock: Clock = MonotonicClock() if clock is None else clock
@@ -107,7 +107,7 @@ class RobotDriver(RobotHooks, Closing):
         self._speed_scale = 1.0
         self._speed_limit = 1.0
 
-    # What may be asked at any time
+    # Properties, available at any time
 
     @property
     def spec(self) -> RobotSpec:
@@ -146,37 +146,37 @@ class RobotDriver(RobotHooks, Closing):
 
     @property
     def speed_scale(self) -> float:
-        """Share of full speed that is allowed now. It scales whole motions, never one joint."""
+        """Share of full speed that is allowed now. It scales motions as a whole."""
         return min(self._speed_scale, self._speed_limit)
 
     @property
     def after_human_help(self) -> bool:
-        """Whether a human was asked for, and no reset was done since."""
+        """Whether a reset needed a human, and none was done since."""
         return not self._hands_clear or self._speed_scale < 1.0
 
     @property
     def paces_itself(self) -> bool:
-        """Whether `advance` takes as long as a tick; a simulation is as fast as it can."""
+        """Whether `advance` takes as long as a tick; a simulation runs as fast as possible."""
         return not isinstance(self._clock, SimulatedClock)
 
     @property
     def now_ns(self) -> int:
-        """Time on the robot's clock, against which the stamps of its states are old."""
+        """Time on the robot's clock, the clock of its states' stamps."""
         return self._clock.now_ns()
 
     def limit_speed(self, share: float) -> None:
-        """Allow at most a share of full speed from now on, until another is set.
+        """Limit every speed to a share of full speed, until the next call.
 
         Args:
-            share: Of every speed; 1 takes the limit away.
+            share: Above 0 and up to 1; 1 removes the limit.
 
         Raises:
-            InvalidRequest: If it is not above 0 and up to 1.
+            InvalidRequest: If the share is out of range.
             LifecycleError: If the robot is armed: its speed would jump.
         """
         if not 0.0 < share <= 1.0:
             raise InvalidRequest(
-                f"speed of {self.spec.name} is limited to {share}, allowed: above 0 and up to 1"
+                f"speed limit of {self.spec.name} is {share}, allowed: above 0 and up to 1"
             )
         with self._hooks:
             if self._gate.armed:
@@ -191,11 +191,11 @@ class RobotDriver(RobotHooks, Closing):
         """Connect. The robot is held and disarmed afterwards.
 
         Raises:
-            LifecycleError: If it is open already.
+            LifecycleError: If it is already open.
         """
         with self._hooks:
             if self._open_now:
-                raise LifecycleError(f"{self.spec.name} is open already; close it first")
+                raise LifecycleError(f"{self.spec.name} is already open; close it first")
             try:
                 self._open()
                 self._gate.forget_states()
@@ -208,9 +208,9 @@ class RobotDriver(RobotHooks, Closing):
         """Open the command gate. The robot stays held until the first command.
 
         Raises:
-            LifecycleError: If the driver is not open, or is armed already.
+            LifecycleError: If the driver is not open, or is already armed.
             FaultLatched: If a fault is latched.
-            HandsNotClear: If a human was asked for and hands are not confirmed clear.
+            HandsNotClear: If a reset needed a human and hands are not confirmed clear.
         """
         with self._hooks:
             self._require_motion("arm")
@@ -227,14 +227,14 @@ class RobotDriver(RobotHooks, Closing):
 
     def close(self) -> None:
         """Disarm, hold and disconnect. Idempotent, from any thread; a fault stays latched."""
-        self._gate.disarm()  # at once, and not only when a tick in progress is over
+        self._gate.disarm()  # at once, without waiting for a tick in progress
         with self._hooks:
             self._gate.disarm()  # an arm in progress may have opened it meanwhile
             if not self._open_now:
                 return
             try:
                 self._hold()
-            finally:  # a robot that could not be held is still disconnected, and holds on silence
+            finally:  # a robot that cannot be held is still disconnected: it holds on silence
                 self._open_now = False
                 self._close()
 
@@ -242,20 +242,20 @@ class RobotDriver(RobotHooks, Closing):
         """Stop and latch. Idempotent, from any thread, in any state; the first stop is kept.
 
         Args:
-            reason: What happened, in words.
-            fault: Name under which it latches.
+            reason: What happened, for people.
+            fault: Name of the fault that is latched.
         """
         self._gate.latch(fault, reason)
         log.warning("%s stopped: %s", self.spec.name, reason)
         try:
             self._interrupt()
-        finally:  # only an early return of a hook is lost with it
+        finally:  # without `_interrupt` the robot holds at the end of the hook in progress
             with self._hooks:
                 if self._open_now:
                     self._hold()
 
     def clear_fault(self, name: str) -> None:
-        """Unlatch a fault: an operator's act. It never arms.
+        """Unlatch a fault, on behalf of an operator. Never arms.
 
         Args:
             name: Name of the latched fault.
@@ -276,8 +276,8 @@ class RobotDriver(RobotHooks, Closing):
         """Return the newest measurement.
 
         Args:
-            max_age_s: Greatest age accepted; the spec's watchdog by default. Objects go by
-                the age limit of their own sensor.
+            max_age_s: Greatest age accepted; the spec's watchdog by default. For objects the age
+                limit of their own sensor applies.
 
         Raises:
             InvalidRequest: If the age is negative or not a number.
@@ -285,9 +285,9 @@ class RobotDriver(RobotHooks, Closing):
             StaleState: If the measurement, or that of an object, is older.
         """
         limit_s = self.spec.limits.watchdog_s if max_age_s is None else max_age_s
-        if not limit_s >= 0:  # nan, too: no age would ever be above it
+        if not limit_s >= 0:  # also for nan, above which no age is
             raise InvalidRequest(
-                f"max_age_s of read on {self.spec.name} is {limit_s}, allowed: 0 s and above"
+                f"max_age_s of read on {self.spec.name} is {limit_s}, allowed: 0 s or more"
             )
         with self._hooks:
             self._require_open("read")
@@ -303,7 +303,7 @@ class RobotDriver(RobotHooks, Closing):
     def measure(self) -> RobotState:
         """Return the newest measurement, however old it and its objects are.
 
-        For a host, which passes the ages on; everybody else calls `read`.
+        For a host, whose clients check the ages; other callers use `read`.
 
         Raises:
             LifecycleError: If the driver is not open.
@@ -315,7 +315,7 @@ class RobotDriver(RobotHooks, Closing):
             return state
 
     def command(self, command: Command) -> Acceptance:
-        """Hand over a target for this tick.
+        """Set the target of this tick.
 
         Args:
             command: The target, of a kind that the spec declares.
@@ -325,7 +325,7 @@ class RobotDriver(RobotHooks, Closing):
 
         Raises:
             LifecycleError: If the driver is not open.
-            InvalidCommand: If this robot can never carry it out.
+            InvalidCommand: If this robot can never execute it.
         """
         self._safety.check(command)
         with self._hooks:
@@ -344,25 +344,25 @@ class RobotDriver(RobotHooks, Closing):
         """
         with self._hooks:
             self._require_open("advance")
-            if not self._gate.armed:  # a stop that still waits for the hooks must not be outrun
+            if not self._gate.armed:  # also when a stop still waits for the lock of the hooks
                 self._hold()
             self._advance()
 
     def reset(self, request: ResetRequest) -> ResetResult:
-        """Go home and put the objects in place.
+        """Go home and put the objects in place. States from before cannot be answered any more.
 
         Args:
-            request: Where things should be.
+            request: Where the objects should be.
 
         Returns:
-            Done, needs a human, or failed. States from before are no longer answerable.
+            Done, needs a human, or failed.
 
         Raises:
             LifecycleError: If the driver is not open, or is armed.
             FaultLatched: If a fault is latched.
-            HandsNotClear: If a human was asked for and hands are not confirmed clear.
-            InvalidRequest: If the request names what the robot does not have, or places
-                things where they can never be.
+            HandsNotClear: If a reset needed a human and hands are not confirmed clear.
+            InvalidRequest: If the request names an object that the robot does not have, or a
+                place where no object can be.
         """
         with self._hooks:
             self._require_motion("reset")
@@ -381,36 +381,36 @@ class RobotDriver(RobotHooks, Closing):
             return result
 
     def expect_human(self) -> None:
-        """Let nothing move until hands are confirmed clear: a human was asked for before.
+        """Require that hands are confirmed clear before any motion.
 
-        For a host, which remembers that over a restart.
+        For a host that restarts after a reset needed a human.
         """
         with self._hooks:
             self._hands_clear = False
 
     def confirm_hands_clear(self) -> None:
-        """Confirm that nobody is in reach, after a reset that needed a human.
+        """Confirm that no person is in reach, after a reset that needed a human.
 
-        Motion is at reduced speed from here until a reset is done.
+        Until a reset is done, motion is at reduced speed.
 
         Raises:
-            LifecycleError: If no human was asked for.
+            LifecycleError: If no reset needed a human.
         """
         with self._hooks:
             if self._hands_clear:
-                raise LifecycleError(f"{self.spec.name} asked for no human; nothing to confirm")
+                raise LifecycleError(f"{self.spec.name} needed no human; nothing to confirm")
             self._hands_confirmed()
             self._hands_clear = True
             self._speed_scale = self.spec.limits.reduced_speed_scale
 
-    # What the implementations share
+    # For implementations
 
     def _brake(self, setpoint: JointSetpoint) -> JointSetpoint:
-        """Return where a tick without a command takes the joints: towards rest."""
+        """Return the setpoint at the end of a tick of braking, for a tick without a command."""
         return self._safety.brake(setpoint)
 
     def _abandon(self, error: BaseException) -> None:
-        """Hold and disconnect what an `_open` that failed may have connected."""
+        """Hold and disconnect after an `_open` that failed."""
         self._open_now = False
         try:
             self._attempt(self._hold, error)
@@ -420,11 +420,11 @@ class RobotDriver(RobotHooks, Closing):
     def _attempt(self, hook: Callable[[], None], error: BaseException) -> None:
         try:
             hook()
-        except Exception as failure:  # noqa: BLE001 - the error that came first is the one raised
-            error.add_note(f"{hook.__name__} on {self.spec.name} failed as well: {failure!r}")
+        except Exception as failure:  # noqa: BLE001 - the first error is the one raised
+            error.add_note(f"{hook.__name__} on {self.spec.name} also failed: {failure!r}")
 
     def _mode(self, moving: bool) -> Mode:
-        """Return the mode of a robot that is, or is not, following a command."""
+        """Return the mode, given whether the robot follows a command."""
         if self._gate.fault is not None:
             return Mode.STOPPED
         if not self._gate.armed:
@@ -442,7 +442,7 @@ class RobotDriver(RobotHooks, Closing):
         self._gate.require_no_fault()
         if not self._hands_clear:
             raise HandsNotClear(
-                f"{call} on {self.spec.name} after human help; confirm_hands_clear comes first"
+                f"{call} on {self.spec.name} after human help; call confirm_hands_clear first"
             )
 
     def _require_fresh(self, what: str, stamp_ns: int, now_ns: int, limit_s: float) -> None:

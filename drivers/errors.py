@@ -1,7 +1,4 @@
-"""What can go wrong with a robot.
-
-Every message carries the name, the value, what is allowed and what to do.
-"""
+"""Errors of drivers. Every message gives the name, the value, what is allowed and what to do."""
 
 from __future__ import annotations
 
@@ -15,15 +12,15 @@ class UnknownDriver(DriverError, ValueError):
 
 
 class InvalidSpec(DriverError, ValueError):
-    """A robot describes itself in a way that contradicts itself or is unsafe."""
+    """A robot's description is contradictory or unsafe, or an option of its driver is invalid."""
 
 
 class InvalidCommand(DriverError, ValueError):
-    """A command that this robot can never carry out: a bug of the sender, not of the moment."""
+    """A command that this robot can never execute: a bug of the sender."""
 
 
 class InvalidRequest(DriverError, ValueError):
-    """A request that this robot can never fulfil, such as a place for an object it has not."""
+    """A request that this robot can never fulfil, such as a place for an unknown object."""
 
 
 class LifecycleError(DriverError, RuntimeError):
@@ -31,7 +28,7 @@ class LifecycleError(DriverError, RuntimeError):
 
 
 class HandsNotClear(LifecycleError):
-    """Motion was asked for after human help and before hands were confirmed clear."""
+    """Motion was requested after human help, before hands were confirmed clear."""
 
 
 class FaultLatched(DriverError, RuntimeError):
@@ -43,8 +40,8 @@ class StaleState(DriverError, RuntimeError):
 
 
 class LinkLost(DriverError, ConnectionError):
-    """A remote robot does not answer in time, or its host was started anew."""
+    """A remote robot does not answer in time, or its host was restarted."""
 
 
 class LeaseRefused(DriverError, RuntimeError):
-    """Somebody else holds the right to command a remote robot, or took it over."""
+    """Another client has the lease of a remote robot, or the lease of this client has ended."""

@@ -1,4 +1,4 @@
-"""Decides which commands may pass to a robot."""
+"""The command gate: armed or not, the latched fault, and the age of the states answered."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from drivers.command import Acceptance, Command, Refusal
 from drivers.errors import FaultLatched, LifecycleError
 from drivers.spec import RobotSpec
 from drivers.state import RobotState
-
-_REMEMBERED_STATES = 64
+from drivers.state_ages import StateAges
 
 
 @dataclass(frozen=True)
@@ -21,9 +20,9 @@ class Fault:
     """A latched fault.
 
     Attributes:
-        name: What clears it.
-        reason: What happened, in words.
-        stamp_ns: When it latched, on the robot's clock.
+        name: Name by which it is cleared.
+        reason: What happened, for people.
+        stamp_ns: When it was latched, on the robot's clock.
     """
 
     name: str
@@ -32,10 +31,10 @@ class Fault:
 
 
 class CommandGate:
-    """Open only while armed, never with a fault, and only to answers to fresh states.
+    """Accepts commands only while armed, without a fault, and in answer to a fresh state.
 
-    Its lock is held for a few instructions, never for a tick, so that a stop from another
-    thread takes effect at once.
+    Its lock is never held for a whole tick, so that a stop from another thread takes effect at
+    once.
     """
 
     def __init__(self, spec: RobotSpec, clock: Clock) -> None:
@@ -44,12 +43,12 @@ class CommandGate:
         self._lock = threading.Lock()
         self._armed = False
         self._fault: Fault | None = None
-        self._stamps: dict[int, int] = {}
+        self._ages = StateAges(clock)
         self._refusals: Counter[Refusal] = Counter()
 
     @property
     def armed(self) -> bool:
-        """Whether commands may pass."""
+        """Whether the gate is open."""
         return self._armed
 
     @property
@@ -78,11 +77,11 @@ class CommandGate:
             self._armed = False
 
     def latch(self, name: str, reason: str) -> None:
-        """Close the gate for good; the first fault is kept.
+        """Close the gate until the fault is cleared. The first fault is kept.
 
         Args:
-            name: What will clear it.
-            reason: What happened, in words.
+            name: Name by which it is cleared.
+            reason: What happened, for people.
         """
         with self._lock:
             self._armed = False
@@ -111,27 +110,22 @@ class CommandGate:
         if self._fault is not None:
             raise FaultLatched(
                 f"{self._spec.name} is stopped by {self._fault.name!r} ({self._fault.reason}); "
-                "an operator clears it by that name"
+                "an operator must clear the fault by that name"
             )
 
     def remember(self, state: RobotState) -> None:
-        """Note a state that was read, so that commands may answer it."""
-        self._stamps[state.seq] = state.stamp_ns
-        if len(self._stamps) > _REMEMBERED_STATES:
-            del self._stamps[next(iter(self._stamps))]
+        """Record a state that was read; from now on commands may answer it."""
+        self._ages.add(state.seq, state.stamp_ns)
 
     def forget_states(self) -> None:
-        """Make every state so far unanswerable."""
-        self._stamps.clear()
+        """Refuse answers to all states read so far."""
+        self._ages.clear()
 
     def judge(self, command: Command) -> Acceptance:
-        """Say whether a command may pass, and count it if not.
+        """Accept or refuse a command; refusals are counted.
 
         Args:
-            command: A command that this robot could carry out.
-
-        Returns:
-            Acceptance, or why not.
+            command: A valid command.
         """
         judgement = self._judge(command)
         if judgement.refusal is not None:
@@ -142,8 +136,8 @@ class CommandGate:
         """Refuse a command, and count it.
 
         Args:
-            refusal: Why.
-            message: The same in words, with values.
+            refusal: The reason.
+            message: The reason with values, for people.
         """
         self._refusals[refusal] += 1
         return Acceptance(refusal, message)
@@ -154,14 +148,14 @@ class CommandGate:
             return Acceptance(Refusal.LATCHED, f"stopped by {fault.name!r} ({fault.reason})")
         if not self._armed:
             return Acceptance(Refusal.DISARMED, "the command gate is closed; arm first")
-        stamp_ns = self._stamps.get(command.answers)
-        if stamp_ns is None:
-            newest = next(reversed(self._stamps), None)
+        age_ns = self._ages.age_ns(command.answers)
+        if age_ns is None:
             return Acceptance(
                 Refusal.UNKNOWN_STATE,
-                f"answers state {command.answers}, newest read since the reset: {newest}",
+                f"answers state {command.answers}, newest read since the reset: "
+                f"{self._ages.newest}",
             )
-        age_s = (self._clock.now_ns() - stamp_ns) / 1e9
+        age_s = age_ns / 1e9
         limit_s = self._spec.limits.watchdog_s
         if age_s > limit_s:
             return Acceptance(

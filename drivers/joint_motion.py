@@ -1,12 +1,12 @@
-"""What the joints may do in one tick: within every limit, and always with room to stop.
+"""Limits of joint commands: each tick stays within every limit, and leaves room to stop.
 
 Within a tick a joint's acceleration is constant: from ``(q0, dq0)`` it gets to ``(q1, dq1)``
 with ``q1 = q0 + (dq0 + dq1) / 2 * T``. So speed and acceleration at the ends of ticks bound
-them everywhere, and the one thing to choose in a tick is ``dq1``.
+them everywhere, and ``dq1`` is the only free variable of a tick.
 
 Braking brings all joints to rest together, on a straight line in joint space, as fast as the
-slowest allows. A motion is allowed only if braking after it would stay within every limit;
-then braking is allowed in every tick, and is what a motion is cut back towards.
+slowest joint allows. A motion is allowed only if braking after it would stay within every limit.
+Braking is then allowed in every tick, and a motion that breaks a limit is blended towards it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _ROUNDING = 1e-9
 
 
 class JointMotion:
-    """Cuts joint commands to what a robot's limits allow."""
+    """Limits joint commands to what a robot allows."""
 
     def __init__(self, spec: RobotSpec) -> None:
         """Set the limits up.
@@ -60,16 +60,16 @@ class JointMotion:
     def limit(
         self, command: JointCommand, start: JointSetpoint, speed_scale: float
     ) -> tuple[JointCommand, tuple[Clip, ...]]:
-        """Cut a command to what is allowed in the next tick.
+        """Limit the motion of the next tick.
 
         Args:
-            command: What was asked.
-            start: What the motors follow now.
+            command: The requested motion.
+            start: The current setpoint.
             speed_scale: Share of full speed that is allowed, in (0, 1].
 
         Returns:
-            The motion of the next tick: its end, and the velocity there; and why it is not the
-            one asked for.
+            The motion of the next tick, its end and the velocity there, and why it differs from
+            the requested one.
         """
         reasons: list[Clip] = []
         asked = self._asked_velocity(command, start)
@@ -80,26 +80,26 @@ class JointMotion:
         return JointCommand(command.answers, q, dq, self._period_s, fingers), tuple(reasons)
 
     def brake(self, start: JointSetpoint) -> JointSetpoint:
-        """Return the end of a tick that takes the robot towards rest; at rest it stays there.
+        """Return the setpoint at the end of a tick of braking; at rest it stays the same.
 
         Args:
-            start: What the motors follow now.
+            start: The current setpoint.
         """
         dq = self._braked(start.dq)
         return JointSetpoint(self._end(start, dq), dq, start.fingers.copy())
 
     def _asked_velocity(self, command: JointCommand, start: JointSetpoint) -> Array:
-        # Ends where a command with a matching dq says, to the bit of rounding; a target that
-        # is repeated with dq = 0 is reached, at rest, in two ticks.
+        # With a matching dq the tick ends at the target, up to rounding; a target that is repeated
+        # with dq = 0 is reached, at rest, in two ticks.
         duration_s = max(command.duration_s, self._period_s)
-        # Finite, but so large that their differences would not be.
+        # Clipped, since the difference of two huge finite numbers can be infinite.
         q_target, dq = (np.clip(asked, -_HUGE, _HUGE) for asked in (command.q_target, command.dq))
         at_end = (q_target - start.q) / duration_s + (dq - start.dq) / 2.0
         velocity: Array = start.dq + (at_end - start.dq) * (self._period_s / duration_s)
         return velocity
 
     def _within_speeds(self, dq: Array, q: Array, scale: float, reasons: list[Clip]) -> Array:
-        """Slow the whole motion down, never joint by joint: that would bend its path."""
+        """Slow down the motion as a whole: joint by joint would bend its path."""
         excess = float((np.abs(dq) / (self._speed * scale)).max())
         if excess > 1.0 + _ROUNDING:
             reasons.append(Clip.JOINT_SPEED)
@@ -113,7 +113,7 @@ class JointMotion:
     def _reachable(
         self, dq: Array, start: JointSetpoint, scale: float, reasons: list[Clip]
     ) -> Array:
-        """Cut a velocity back until it can be reached, and towards braking until it is safe."""
+        """Limit the acceleration, then blend towards braking until no limit is broken."""
         change = dq - start.dq
         excess = float((np.abs(change) / (self._acceleration * self._period_s)).max())
         if excess > 1.0 + _ROUNDING:
@@ -137,19 +137,19 @@ class JointMotion:
     def _broken(
         self, dq: Array, start: JointSetpoint, allowed: dict[Clip, Array], scale: float
     ) -> tuple[Clip, ...]:
-        """Name the limits that a tick ending at `dq`, and braking after it, would break."""
+        """Return the limits that a tick ending at `dq`, and braking after it, would break."""
         q = self._end(start, dq)
         ticks = self._braking_ticks(dq)
         rest = q + dq * ticks * self._period_s / 2.0
         broken: list[Clip] = []
-        # Outside already: not further out, so that the way back is open.
+        # From outside a limit, motion may not go further out, but may come back.
         lower, upper = np.minimum(self._lower, start.q), np.maximum(self._upper, start.q)
         if (np.minimum(q, rest) < lower).any() or (np.maximum(q, rest) > upper).any():
             broken.append(Clip.JOINT_RANGE)
         speed = float(np.linalg.norm(self._kinematics.ee_jacobian(q) @ dq))
         if speed > self._ee_speed * scale * (1.0 + _ROUNDING):
             broken.append(Clip.EE_SPEED)
-        # Half-way through the tick, and then no further from point to point than in a tick.
+        # Half-way through the tick, then along the braking path, in steps of at most a tick.
         half_way = start.q + (3.0 * start.dq + dq) / 8.0 * self._period_s
         shares = np.linspace(0.0, 1.0, 1 + max(_FEWEST_POINTS, ticks))
         for point in (half_way, *(q + share * (rest - q) for share in shares)):
@@ -161,7 +161,7 @@ class JointMotion:
         return self._region.depths(points, self._kinematics.guard_radii)
 
     def _braking_ticks(self, dq: Array) -> int:
-        # The last bits of a motion that just fits must not cost a tick more.
+        # Rounding of a motion that just fits must not cost an additional tick.
         ticks = float((np.abs(dq) / (self._acceleration * self._period_s)).max())
         return math.ceil(ticks * (1.0 - _ROUNDING) - _ROUNDING)
 

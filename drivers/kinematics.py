@@ -1,4 +1,4 @@
-"""Forward kinematics of a robot, from the model that its description carries."""
+"""Forward kinematics of a robot, from the kinematic model in its description."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 EE_SITE = "ee"
 """Site of the end effector in a kinematic model; its pose is `RobotState.ee_pos` and `ee_quat`."""
 GUARD_PREFIX = "guard:"
-"""Names of the sites that stand for parts of the arm: each is a sphere of the site's size."""
+"""Prefix of the names of guard sites: spheres of the site's size that enclose parts of the arm."""
 
 
 class Kinematics:
-    """Where the arm is, for any joint positions.
+    """Forward kinematics of the end effector and the guarded parts of the arm.
 
     The model is MJCF text without files: the joints of `RobotSpec.joint_names` in that order
     and no others, a site ``ee``, and a site ``guard:...`` for each part of the arm that must
     stay out of `Limits.keep_out`.
 
     Attributes:
-        model: The compiled model, of the arm alone.
+        model: The compiled model of the arm.
         guard_radii: Radius of each guarded sphere, m. ``(n_guards,)``
         guarded_sites: Sites of the model in the order of `guarded_points`. ``(1 + n_guards,)``
     """
@@ -43,7 +43,7 @@ class Kinematics:
             spec: The robot.
 
         Raises:
-            InvalidSpec: If the model cannot be compiled, or is not that of the joints.
+            InvalidSpec: If the model cannot be compiled, or does not have the spec's joints.
         """
         import mujoco
 
@@ -65,7 +65,7 @@ class Kinematics:
         )
 
     def ee_pos(self, q: Array) -> Array:
-        """Return where the end effector is, in the spec's frame, m. ``(3,)``
+        """Return the position of the end effector in the spec's frame, m. ``(3,)``
 
         Args:
             q: Joint positions. ``(n_joints,)``
@@ -110,15 +110,15 @@ def _compile(spec: RobotSpec) -> mujoco.MjModel:
         for element in ElementTree.fromstring(text).iter():
             if element.tag in ("include", "plugin", "extension") or "file" in element.attrib:
                 raise InvalidSpec(
-                    f"kinematic model of {spec.name} has <{element.tag}>, allowed: a model in one "
-                    "text, without files"
+                    f"kinematic model of {spec.name} has <{element.tag}>, allowed: one MJCF text "
+                    "that refers to no files and plugins"
                 )
         model = mujoco.MjModel.from_xml_string(text)
     except (ElementTree.ParseError, ValueError) as error:
         if isinstance(error, InvalidSpec):
             raise
         reason = " ".join(str(error).split())
-        raise InvalidSpec(f"kinematic model of {spec.name} is no MJCF: {reason}") from error
+        raise InvalidSpec(f"kinematic model of {spec.name} is not valid MJCF: {reason}") from error
     names = tuple(model.joint(joint).name for joint in range(model.njnt))
     if names != spec.joint_names or model.nq != model.njnt:
         raise InvalidSpec(

@@ -1,4 +1,4 @@
-"""What a robot may do: the limits it declares."""
+"""The limits that a robot declares: joints, gripper, end effector, workspace, watchdog."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Vector3 = tuple[float, float, float]
 
 
 def check_positive(name: str, value: float) -> None:
-    """Refuse a limit that is not a number above zero.
+    """Check that a limit is positive.
 
     Args:
         name: Name for the message.
-        value: The limit; infinity stands for none.
+        value: The limit; infinity means no limit.
 
     Raises:
         InvalidSpec: If it is zero, negative or not a number.
@@ -29,8 +29,8 @@ class JointLimits:
     """Limits of one joint.
 
     Attributes:
-        lower: Least position, rad or m; minus infinity for a continuous joint.
-        upper: Greatest position, rad or m.
+        lower: Lower end of the range, rad or m; minus infinity for a continuous joint.
+        upper: Upper end of the range, rad or m.
         max_velocity: rad/s or m/s.
         max_acceleration: rad/s^2 or m/s^2.
     """
@@ -92,9 +92,9 @@ class Limits:
         gripper: Limits of the fingers.
         max_ee_speed_m_s: Speed of the end effector.
         workspace: Where the end effector may be.
-        keep_out: What no guarded part of the arm may enter, such as the table.
-        watchdog_s: A command is refused when the state that it answers is older; without
-            a fresh command for this long the robot holds.
+        keep_out: Boxes that no guarded part of the arm may enter, such as the table.
+        watchdog_s: Greatest age of a state that a command may answer; without a fresh command for
+            this long the robot holds.
         reduced_speed_scale: Share of every speed that is allowed after human help, in (0, 1].
     """
 

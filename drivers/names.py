@@ -1,4 +1,4 @@
-"""Messages about names that do not exist."""
+"""Error message for an unknown name."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Iterable
 
 
 def unknown(kind: str, name: str, allowed: Iterable[str]) -> str:
-    """Say that a name does not exist, and which do.
+    """Return the message for an unknown name, with the valid names.
 
     Args:
-        kind: What the name stands for, such as ``"driver"``.
+        kind: Kind of the name, such as ``"driver"``.
         name: The name as given.
         allowed: Every valid name.
 
     Returns:
-        One sentence, with the nearest valid name where one is near.
+        One sentence, with the closest valid name if one is similar.
     """
     names = sorted(allowed)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)

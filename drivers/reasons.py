@@ -1,4 +1,4 @@
-"""Why a command was cut."""
+"""Reasons for which the safety filter cuts a command."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from enum import StrEnum
 
 
 class Clip(StrEnum):
-    """The limits that the safety filter cuts commands to."""
+    """The limit that a command exceeded."""
 
     POSITION_SCALE = "position_scale"
-    """A displacement beyond what an action can ask for."""
+    """A displacement of the end effector larger than that of an action of 1."""
     GRIPPER_SCALE = "gripper_scale"
-    """The same of the fingers."""
+    """A displacement of the fingers larger than that of an action of 1."""
     JOINT_SPEED = "joint_speed"
     JOINT_ACCELERATION = "joint_acceleration"
     JOINT_RANGE = "joint_range"
-    """A position limit that braking could no longer keep."""
+    """A joint would leave its range, at the latest while it brakes."""
     EE_SPEED = "ee_speed"
     WORKSPACE = "workspace"
     """The end effector would leave the workspace, at the latest while it brakes."""
     KEEP_OUT = "keep_out"
-    """A part of the arm would enter what it must keep out of, such as the table."""
+    """A guarded part of the arm would enter a keep-out box, such as the table."""
     FINGER_RANGE = "finger_range"
     FINGER_SPEED = "finger_speed"

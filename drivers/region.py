@@ -1,4 +1,4 @@
-"""Where a robot may be: its workspace, and what it must keep out of."""
+"""The region in which a robot may be: its workspace without the keep-out boxes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Region:
-    """How deep the end effector and the guarded parts are where they may not be."""
+    """Depths by which end effector and guarded parts are outside of the allowed region."""
 
     def __init__(self, limits: Limits) -> None:
         self._lower = np.array(limits.workspace.lower)
@@ -21,14 +21,14 @@ class Region:
         self._halves = [(np.subtract(box.upper, box.lower) / 2.0) for box in limits.keep_out]
 
     def depths(self, points: Array, radii: Array) -> dict[Clip, Array]:
-        """Return how far each limit is exceeded, m; 0 and less is allowed.
+        """Return how far each limit is exceeded, m; 0 or less is allowed.
 
         Args:
             points: The end effector, then centres of guarded spheres. ``(1 + n_guards, 3)``
-            radii: Of the guarded spheres, m. ``(n_guards,)``
+            radii: Radii of the guarded spheres, m. ``(n_guards,)``
 
         Returns:
-            By reason, a depth for each side of the workspace, and for each box and point.
+            By reason: a depth for each side of the workspace, and one for each box and point.
         """
         outside = np.concatenate([self._lower - points[0], points[0] - self._upper])
         sizes = np.concatenate([[0.0], radii])
@@ -40,14 +40,14 @@ class Region:
         return {Clip.WORKSPACE: outside, Clip.KEEP_OUT: np.concatenate(inside)}
 
     def gradients(self, points: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return which point each of `depths` is that of, and how it grows as this point moves.
+        """Return the point that each of `depths` belongs to, and its gradient with that point.
 
         Args:
             points: As for `depths`. ``(n_points, 3)``
 
         Returns:
-            In the order of `depths`: indices of points ``(n_depths,)``, and unit vectors
-            towards the limit's nearest face, edge or corner, into it ``(n_depths, 3)``.
+            In the order of `depths`: indices of points ``(n_depths,)``, and unit vectors from
+            the limit's nearest face, edge or corner inwards ``(n_depths, 3)``.
         """
         sides = np.eye(3)
         into = [-sides, sides]
@@ -67,12 +67,12 @@ class Region:
 
     @staticmethod
     def exceeded(depths: dict[Clip, Array], allowed: dict[Clip, Array], slack: float) -> list[Clip]:
-        """Name the limits that are exceeded by more than they are already.
+        """Return the limits that are exceeded by more than at the start of a motion.
 
         Args:
-            depths: Somewhere, as from `depths`.
-            allowed: Where a motion starts: what is outside there may stay, but no further out.
-            slack: For rounding, m.
+            depths: Depths at a later point, as from `depths`.
+            allowed: Depths at the start. A part that is outside there may stay, not move out.
+            slack: Tolerance for rounding, m.
         """
         return [
             reason

@@ -1,4 +1,4 @@
-"""Drivers by name: the one built in, and those that other packages bring."""
+"""Drivers by name: the built-in ones, and those of other packages by entry point."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from drivers.errors import InvalidSpec, UnknownDriver
 from drivers.names import unknown
 
 GROUP = "iher_robot.drivers"
-"""Entry-point group in which a package names its driver factories."""
-
-# Named in code as well as in the package's metadata, so that an uninstalled checkout has it.
-_BUILT_IN = {"mujoco": "drivers.mujoco:make_fetch", "zenoh": "drivers.remote:make_remote"}
+"""Entry-point group of driver factories."""
 
 HOLDERS = "iher_robot.holders"
-"""Entry-point group of functions that hold a robot from outside of the process that drives it."""
+"""Entry-point group of functions that hold a robot from another process than its driver's."""
+
+# Also in the package's metadata; named here for a checkout that is not installed.
+_BUILT_IN = {"mujoco": "drivers.mujoco:make_fetch", "zenoh": "drivers.remote:make_remote"}
+
+_SCENES = ("push", "reach", "pick_and_place", "slide")
 
 
 class DriverFactory(Protocol):
-    """Makes a driver for the scene that a task names, with options of its own."""
+    """Makes a driver for a scene, with the driver's options."""
 
     def __call__(self, *, scene: str, **options: object) -> RobotDriver:
         """Return the driver, not yet open."""
@@ -32,7 +34,7 @@ class DriverFactory(Protocol):
 
 
 def driver_targets() -> dict[str, str]:
-    """Return where each driver lives, as ``"module:attribute"`` by name.
+    """Return the factory of each driver, as ``"module:attribute"`` by name.
 
     Raises:
         UnknownDriver: If two packages claim one name for different things.
@@ -48,15 +50,15 @@ def driver_targets() -> dict[str, str]:
 
 
 def make_holder(name: str, **options: object) -> Callable[[], None] | None:
-    """Make what holds the robot of a driver from another process, when the driver's is frozen.
+    """Return a function that holds a robot whose driver's process is frozen or gone.
 
     Args:
-        name: Name of the driver; a package names its function under the same name.
-        options: What the driver takes.
+        name: Name of the driver, under which its package registers the function.
+        options: Options of the driver.
 
     Returns:
-        A function that holds the robot through a connection of its own; None if the driver's
-        package brings none, and the robot's own hold on silence has to do.
+        The function, which uses a separate connection to the robot; None if the driver's package
+        has none. Then the robot's own hold on silence must do.
     """
     for entry in entry_points(group=HOLDERS):
         if entry.name == name:
@@ -65,12 +67,12 @@ def make_holder(name: str, **options: object) -> Callable[[], None] | None:
 
 
 def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:
-    """Make a driver by name. An error inside the driver's module is raised as it is.
+    """Make a driver by name. Errors of the driver's module are raised unchanged.
 
     Args:
         name: Name of the driver.
         scene: The scene that the task needs.
-        options: What the driver takes besides.
+        options: Options of the driver.
 
     Returns:
         The driver, not yet open.
@@ -87,15 +89,12 @@ def make_driver(name: str, *, scene: str, **options: object) -> RobotDriver:
     try:
         inspect.signature(factory).bind(scene=scene, **options)
     except TypeError as error:
-        raise InvalidSpec(f"driver {name!r} takes no such options: {error}") from error
+        raise InvalidSpec(f"options of driver {name!r} are invalid: {error}") from error
     return factory(scene=scene, **options)
 
 
-_SCENES = ("push", "reach", "pick_and_place", "slide")
-
-
 def make_in_first_scene(make: Callable[[str], RobotDriver]) -> tuple[str, RobotDriver]:
-    """Make a driver in the first scene that it has.
+    """Make a driver in the first of the tasks' scenes that it supports.
 
     Args:
         make: Makes the driver for a scene.
@@ -104,13 +103,12 @@ def make_in_first_scene(make: Callable[[str], RobotDriver]) -> tuple[str, RobotD
         The scene and the driver.
 
     Raises:
-        ValueError: There is none; what the first was refused with.
+        ValueError: The driver supports none of them; the error is that of the first scene.
     """
-    refused: ValueError | None = None
+    errors: list[ValueError] = []
     for scene in _SCENES:
         try:
             return scene, make(scene)
-        except ValueError as error:  # InvalidSpec, UserError: what a factory refuses a scene with
-            refused = refused or error
-    assert refused is not None
-    raise refused
+        except ValueError as error:  # a factory's UnknownDriver, InvalidSpec or UserError
+            errors.append(error)
+    raise errors[0]

@@ -1,4 +1,4 @@
-"""Drivers that can show themselves: a picture of the scene, or a window on it."""
+"""Interfaces of drivers that render their scene: to an image, or in a window."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from drivers.errors import DriverError
 
 RENDERERS = "egl (Debian packages libegl1, libopengl0, libgl1-mesa-dri) or osmesa (libosmesa6)"
-"""What MUJOCO_GL may name where there is no display, for messages."""
+"""Values of MUJOCO_GL for machines without a display, for messages."""
 
 
 class CannotRender(DriverError, RuntimeError):
-    """This machine has nothing that draws; the message says what to set or install."""
+    """This machine cannot render; the message says what to set or install."""
 
 
 @runtime_checkable
 class Renderable(Protocol):
-    """A driver with a camera on the scene."""
+    """A driver that renders its scene to an image."""
 
     def render(
         self,
@@ -28,38 +28,38 @@ class Renderable(Protocol):
         goal: NDArray[np.float64] | None = None,
         reached: bool = False,
     ) -> NDArray[np.uint8]:
-        """Return a picture of the scene, with the goal marked if one is given.
+        """Return an image of the scene.
 
         Args:
             width: Pixels.
             height: Pixels.
-            goal: Position in the spec's frame, m. ``(3,)``
-            reached: Whether the goal is reached, which its mark shows.
+            goal: Position of a goal to mark, in the spec's frame, m; None marks nothing. ``(3,)``
+            reached: Whether the goal is reached, which the mark shows.
 
         Returns:
             RGB. ``(height, width, 3)``
 
         Raises:
-            CannotRender: If nothing draws here.
+            CannotRender: If this machine cannot render.
         """
         ...
 
 
 @runtime_checkable
 class Viewable(Protocol):
-    """A driver with a window on the scene, which a person may look around in."""
+    """A driver that shows its scene in an interactive window."""
 
     def show(self, goal: NDArray[np.float64] | None = None, reached: bool = False) -> bool:
-        """Bring the window up to date; the first call opens it, closing the driver closes it.
+        """Update the window; the first call opens it, closing the driver closes it.
 
         Args:
-            goal: Position in the spec's frame, m; marked if given. ``(3,)``
-            reached: Whether the goal is reached, which its mark shows.
+            goal: Position of a goal to mark, in the spec's frame, m; None marks nothing. ``(3,)``
+            reached: Whether the goal is reached, which the mark shows.
 
         Returns:
-            Whether the window is open still: the person may close it.
+            Whether the window is still open: the user may close it.
 
         Raises:
-            CannotRender: If no window opens here.
+            CannotRender: If no window can be opened.
         """
         ...

@@ -1,4 +1,4 @@
-"""Everything that stands between a sender of commands and the motors of a robot."""
+"""The safety filter: checks and limits every command before it reaches a robot's motors."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from drivers.state import JointSetpoint, RobotState
 
 
 class SafetyFilter:
-    """Decides on the robot's side what of a command reaches the motors.
+    """Checks and limits commands on the robot's side.
 
-    In this order: `check` refuses shapes, kinds and values that make no sense; `gate` refuses
-    while disarmed or stopped, answers to states that are unknown or too old, and everything
-    while the robot's own measurement is not finite (`judge`); `limit` cuts
-    what is left to speeds, accelerations, ranges, the workspace and what is kept out of. A
-    tick without a command is a tick of braking (`brake`): that is the deadman.
+    In this order: `check` raises for invalid kinds, shapes and values; `judge` refuses commands
+    while disarmed or stopped, in answer to states that are unknown or too old, and while the
+    robot's own measurement is not finite; `limit` cuts the others to speeds, accelerations,
+    ranges, the workspace and the keep-out boxes. A tick without a command brakes (`brake`): that
+    is the deadman.
 
     This is software. It is not a safety-rated stop and replaces none.
 
     Attributes:
-        gate: Open only while armed, and never with a fault.
+        gate: The command gate, which is armed, disarmed and latched.
     """
 
     def __init__(self, spec: RobotSpec, clock: Clock) -> None:
@@ -55,10 +55,10 @@ class SafetyFilter:
         return dict(self._clips)
 
     def check(self, command: Command) -> None:
-        """Refuse a command that this robot can never carry out.
+        """Check the kind, shapes and values of a command.
 
         Raises:
-            InvalidCommand: If its kind, a shape or a value is wrong.
+            InvalidCommand: If one of them is wrong.
         """
         if command.kind not in self._spec.command_kinds:
             raise InvalidCommand(
@@ -68,10 +68,10 @@ class SafetyFilter:
         command.check(self._spec)
 
     def judge(self, command: Command, state: RobotState) -> Acceptance:
-        """Say whether a command may pass now, and count it if not.
+        """Accept or refuse a command; refusals are counted.
 
         Args:
-            command: What was asked, checked.
+            command: A checked command.
             state: The robot's newest state.
         """
         judgement = self.gate.judge(command)
@@ -85,15 +85,15 @@ class SafetyFilter:
     def limit(
         self, command: Command, state: RobotState, speed_scale: float
     ) -> tuple[Command, tuple[str, ...]]:
-        """Cut a command to what the limits allow in the next tick, and count why.
+        """Limit the motion of the next tick, and count the reasons of cuts.
 
         Args:
-            command: What was asked, checked and judged.
-            state: The robot's newest state, whose `setpoint` a joint motion starts from.
+            command: A command that was accepted.
+            state: The robot's newest state; a joint motion starts from its `setpoint`.
             speed_scale: Share of full speed that is allowed, in (0, 1].
 
         Returns:
-            What to apply, and why it differs from what was asked.
+            The command to apply, and why it differs from the requested one.
         """
         limited: Command
         if isinstance(command, JointCommand):
@@ -103,15 +103,18 @@ class SafetyFilter:
         elif isinstance(command, EndEffectorCommand):
             limited, reasons = self._displacement.limit(command, state.ee_pos, speed_scale)
         else:
-            raise InvalidCommand(f"no limits are known for {command.kind!r} commands; add them")
+            raise InvalidCommand(
+                f"kind of command is {command.kind!r}, which SafetyFilter cannot limit; override "
+                "SafetyFilter.limit for it"
+            )
         self._clips.update(reasons)
         return limited, reasons
 
     def brake(self, setpoint: JointSetpoint) -> JointSetpoint:
-        """Return where a tick without a command takes the joints: towards rest.
+        """Return the setpoint at the end of a tick of braking.
 
         Args:
-            setpoint: What the motors follow now.
+            setpoint: The current one.
         """
         assert self._joints is not None, "only a robot that takes joint commands has a setpoint"
         return self._joints.brake(setpoint)

@@ -1,4 +1,4 @@
-"""What a robot is, known before any connection to it."""
+"""Description of a robot, available without a connection to it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Quaternion = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What an action of the policy means on this robot.
+    """Meaning and scale of a policy's action on this robot.
 
     Attributes:
         names: What each component moves.
-        position_scale_m: Displacement of the end effector that an action of 1 asks for.
-        gripper_scale_m: Displacement of each finger that an action of 1 asks for.
+        position_scale_m: Displacement of the end effector for an action of 1.
+        gripper_scale_m: Displacement of each finger for an action of 1.
         frame: Frame of the displacement.
     """
 
@@ -41,13 +41,13 @@ class ActionSpec:
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """Where the pose of an object comes from.
+    """Source of an object's pose.
 
     Attributes:
         source: The sensor or tracker, such as ``"simulator"``.
         frame: Frame of the pose.
-        max_age_s: Age past which this sensor's pose is stale. It belongs to the sensor: a
-            15 Hz camera is not stale at 25 Hz.
+        max_age_s: Age beyond which a pose of this sensor is stale. A 15 Hz camera is not stale at
+            25 Hz.
     """
 
     source: str
@@ -60,13 +60,13 @@ class ObjectSource:
 
 @dataclass(frozen=True)
 class Home:
-    """Where the robot stands after a reset.
+    """Pose of the robot after a reset.
 
     Attributes:
         ee_pos: Position of the end effector in the spec's frame, m.
         ee_quat: Its orientation, wxyz.
-        object_heights: Height at which each object rests, m, where the robot knows it.
-        q: Joint positions, rad or m; a robot that takes joint commands declares them.
+        object_heights: Height of each object at rest, m, if known.
+        q: Joint positions, rad or m; required of a robot that takes joint commands.
     """
 
     ee_pos: Vector3
@@ -77,16 +77,16 @@ class Home:
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """A robot's description of itself.
+    """Description of a robot.
 
-    Two digests stand for it. `interface_digest` must match between a policy and a robot;
-    `body_digest` is recorded, and a difference is listed for a person to accept. What
-    nobody can know of a real robot (mass, friction) is in neither, nor is what says where
-    the robot stands (`home`) or how it is guarded (`physical` and what follows).
+    It has two digests. `interface_digest` must match between a policy and a robot; `body_digest`
+    is recorded, and a difference is listed for a person to accept. Neither contains unknowns of a
+    real robot (mass, friction), its place (`home`) or its safeguards (`physical` and the fields
+    after it).
 
     Attributes:
         name: Name of the robot.
-        command_kinds: Kinds of command that it takes.
+        command_kinds: Kinds of command that the robot takes.
         action: Meaning and scale of a policy's action.
         control_period_s: Time of one control tick.
         frame: Frame of every pose of the robot.
@@ -94,14 +94,14 @@ class RobotSpec:
         finger_names: Finger joints, in the order of `RobotState.fingers_pos`.
         limits: Every limit.
         gains: Gains of the low-level control, by name.
-        calibration_id: Which calibration is in force.
-        kinematic_model: Which kinematic model the robot has: MJCF text for `Kinematics` where
-            it takes joint commands, else any text that stands for it.
-        home: Where it stands after a reset.
-        physical: Whether something real moves.
+        calibration_id: Identifies the calibration in use.
+        kinematic_model: MJCF text for `Kinematics` if the robot takes joint commands, else any
+            text that identifies its kinematics.
+        home: Pose after a reset.
+        physical: Whether this is a real robot.
         hold_on_silence_s: Time without a command after which the robot holds by itself;
             a physical robot must declare it.
-        enforces_joint_limits: Whether the joint limits above are enforced at all.
+        enforces_joint_limits: Whether the joint limits in `limits` are enforced.
     """
 
     name: str
@@ -123,14 +123,16 @@ class RobotSpec:
     def __post_init__(self) -> None:
         check_positive("control_period_s", self.control_period_s)
         if not self.command_kinds:
-            raise InvalidSpec(f"{self.name} declares no command kind, at least one is needed")
+            raise InvalidSpec(
+                f"{self.name} declares no command kind, allowed: at least one, such as 'joint'"
+            )
         tick_m = self.limits.max_ee_speed_m_s * self.control_period_s
         for box in self.limits.keep_out:
             thinnest = min(high - low for low, high in zip(box.lower, box.upper, strict=True))
             if thinnest < tick_m < float("inf"):
                 raise InvalidSpec(
-                    f"{self.name} keeps out of a box that is {thinnest} m thick, allowed: "
-                    f"{tick_m} m or more, which the end effector moves in a tick; make it thicker"
+                    f"a keep_out box of {self.name} is {thinnest} m thick, allowed: at least the "
+                    f"{tick_m} m that the end effector moves in a tick; make it thicker"
                 )
         if self.hold_on_silence_s is not None:
             check_positive("hold_on_silence_s", self.hold_on_silence_s)
@@ -157,7 +159,7 @@ class RobotSpec:
 
     @cached_property
     def body_digest(self) -> str:
-        """Digest of what distinguishes one body from another of the same interface."""
+        """Digest of what distinguishes bodies with the same interface."""
         return digest(self.body())
 
     def interface(self) -> dict[str, Json]:
@@ -182,11 +184,11 @@ class RobotSpec:
         }
 
     def interface_differences(self, other: RobotSpec) -> list[str]:
-        """Name what differs from another robot's interface; empty if nothing does."""
+        """List the differences from another robot's interface; empty if there are none."""
         return differences(self.interface(), other.interface())
 
     def body_differences(self, other: RobotSpec) -> list[str]:
-        """Name what differs from another robot's body; empty if nothing does."""
+        """List the differences from another robot's body; empty if there are none."""
         return differences(self.body(), other.body())
 
     def to_dict(self) -> dict[str, Json]:

@@ -1,4 +1,4 @@
-"""What a robot reports."""
+"""State of a robot: joints, end effector, fingers, objects, mode and applied command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _freeze(*arrays: Array) -> None:
 
 
 class Mode(StrEnum):
-    """What the robot is doing. In every mode its joints are powered."""
+    """Mode of a robot. In every mode its joints are powered."""
 
     DISARMED = "disarmed"
     """Held, and the command gate is closed."""
@@ -34,12 +34,12 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class AppliedCommand:
-    """The last command that was really applied.
+    """The last command that was applied.
 
     Attributes:
-        tick: Sequence of the state at the end of the tick in which it was in force.
-        command: What was applied, after every limit.
-        clipped: Why it differs from what was asked; empty if it does not.
+        tick: Sequence of the state at the end of the tick in which it was applied.
+        command: The command after every limit.
+        clipped: Why it differs from the requested one; empty if it does not.
     """
 
     tick: int
@@ -49,7 +49,7 @@ class AppliedCommand:
 
 @dataclass(frozen=True, eq=False)
 class JointSetpoint:
-    """What the robot's motors are told to follow. It makes its arrays read-only.
+    """Target that the robot's motors follow. Its arrays become read-only.
 
     Attributes:
         q: Joint positions, rad or m. ``(n_joints,)``
@@ -67,14 +67,14 @@ class JointSetpoint:
 
 @dataclass(frozen=True, eq=False)
 class ObjectPose:
-    """The pose of an object as one sensor saw it. It makes its arrays read-only.
+    """Pose of an object as measured by one sensor. Its arrays become read-only.
 
     Attributes:
         pos: m, in `frame`. ``(3,)``
         quat: wxyz. ``(4,)``
         linvel: m/s. ``(3,)``
         angvel: rad/s. ``(3,)``
-        stamp_ns: When it was seen, on the robot's clock.
+        stamp_ns: Time of measurement, on the robot's clock.
         source: The sensor.
         frame: Frame of everything above.
     """
@@ -93,11 +93,11 @@ class ObjectPose:
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """One measurement of everything. It makes the arrays that it is given read-only.
+    """State of a robot in one control tick. Its arrays become read-only.
 
     Attributes:
         seq: The robot's tick counter.
-        stamp_ns: When it was measured, on the robot's clock.
+        stamp_ns: Time of measurement, on the robot's clock.
         q: Joint positions, rad or m, in the order of `RobotSpec.joint_names`. ``(n_joints,)``
         dq: Joint velocities. ``(n_joints,)``
         ee_pos: End effector in the spec's frame, m. ``(3,)``
@@ -106,11 +106,11 @@ class RobotState:
         ee_angvel: rad/s. ``(3,)``
         fingers_pos: m, in the order of `RobotSpec.finger_names`. ``(n_fingers,)``
         fingers_vel: m/s. ``(n_fingers,)``
-        mode: What the robot is doing.
+        mode: Mode of the robot.
         fault: Name of the latched fault, None without one.
-        applied: The last command really applied, None if none was since the reset.
-        setpoint: What the motors follow at the end of this tick, after every limit: where a
-            controller starts from. None where the robot takes no joint commands.
+        applied: The last command that was applied, None if none was since the reset.
+        setpoint: Target of the motors at the end of this tick, after every limit; a controller
+            starts from it. None for a robot that takes no joint commands.
         objects: Pose of each object, by name.
     """
 

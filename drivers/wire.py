@@ -1,7 +1,7 @@
-"""Messages between a robot's host and its clients: MessagePack, checked on arrival.
+"""Encoding of messages between a robot's host and its clients: MessagePack, checked on receipt.
 
-``docs/protocol.md`` describes them for hosts in other languages. Nothing here is ever executed:
-a message holds maps, lists, text, numbers and arrays, the latter as ``[dtype, shape, bytes]``.
+``docs/protocol.md`` describes the messages for hosts in other languages. A message contains only
+maps, lists, text, numbers and arrays as ``[dtype, shape, bytes]``; nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from pydantic import (
     ValidationError,
 )
 
+from drivers.validation import describe_first_problem
+
 VERSION = 1
 MAX_BYTES = 1 << 20
-"""No message is longer; a longer one is not read at all."""
+"""Greatest length of a message; a longer one is refused unread."""
 
 _DTYPE = "<f8"
 _MAX_DIMENSIONS = 1
@@ -33,10 +35,10 @@ Model = TypeVar("Model", bound="Message")
 
 
 class WireError(ValueError):
-    """A message that is not of this protocol.
+    """A message that does not conform to the protocol.
 
     Attributes:
-        reason: One word, under which it is counted.
+        reason: One word under which refusals are counted.
     """
 
     def __init__(self, reason: str, message: str) -> None:
@@ -45,7 +47,7 @@ class WireError(ValueError):
 
 
 def pack_array(array: NDArray[np.float64]) -> list[Any]:
-    """Return an array as it travels: dtype, shape and little-endian bytes."""
+    """Encode an array as dtype, shape and little-endian bytes."""
     return [_DTYPE, list(array.shape), np.ascontiguousarray(array, dtype=_DTYPE).tobytes()]
 
 
@@ -53,7 +55,7 @@ def _read_array(value: object) -> NDArray[np.float64]:
     if isinstance(value, np.ndarray):
         return value
     if not isinstance(value, list) or len(value) != 3:
-        raise ValueError("no array of the form [dtype, shape, bytes]")
+        raise ValueError("array is malformed, allowed: [dtype, shape, bytes]")
     dtype, shape, data = value
     if dtype != _DTYPE:
         raise ValueError(f"dtype is {reprlib.repr(dtype):.20}, allowed: {_DTYPE!r}")
@@ -67,7 +69,7 @@ def _read_array(value: object) -> NDArray[np.float64]:
         )
     count = int(np.prod(shape, dtype=np.int64))
     if not isinstance(data, bytes) or len(data) != 8 * count:
-        raise ValueError(f"an array of shape {shape} has {8 * count} bytes")
+        raise ValueError(f"data do not fit shape {shape}, allowed: {8 * count} bytes")
     return np.frombuffer(data, dtype=_DTYPE).reshape(shape).astype(np.float64)
 
 
@@ -100,10 +102,7 @@ def pack(message: Message | Mapping[str, object]) -> bytes:
     """Encode a message.
 
     Args:
-        message: Arrays in it become ``[dtype, shape, bytes]``.
-
-    Returns:
-        Its bytes.
+        message: Its arrays become ``[dtype, shape, bytes]``.
     """
     content = message.model_dump() if isinstance(message, Message) else message
     packed: bytes = msgpack.packb(content, default=_pack_other)
@@ -114,30 +113,30 @@ def unpack(model: type[Model], data: bytes) -> Model:
     """Decode and check a message.
 
     Args:
-        model: What it must be.
-        data: Its bytes.
+        model: Type of the message.
+        data: The encoded message.
 
     Raises:
-        WireError: It is too long, no MessagePack, of another version, or not this message.
+        WireError: It is too long, not MessagePack, of another version, or not of this type.
     """
     return check(model, unpack_map(data))
 
 
 def unpack_map(data: bytes) -> dict[str, Any]:
-    """Decode a message without checking what is in it, but for its version.
+    """Decode a message, checking only its version.
 
     Args:
-        data: Its bytes.
+        data: The encoded message.
 
     Raises:
-        WireError: It is too long, no MessagePack, no map, or of another version.
+        WireError: It is too long, not MessagePack, not a map, or of another version.
     """
     if len(data) > MAX_BYTES:
         raise WireError("too_long", f"message of {len(data)} bytes, allowed: {MAX_BYTES}")
     try:
         content = msgpack.unpackb(data, strict_map_key=True, use_list=True)
     except Exception as error:  # noqa: BLE001 - msgpack raises half a dozen unrelated types
-        raise WireError("malformed", f"no MessagePack: {error}") from None
+        raise WireError("malformed", f"message is not MessagePack: {error}") from None
     if not isinstance(content, dict):
         raise WireError("malformed", f"message is {type(content).__name__}, allowed: a map")
     if content.get("v") != VERSION or type(content.get("v")) is not int:
@@ -150,26 +149,24 @@ def check(model: type[Model], content: Mapping[str, object]) -> Model:
     """Check a decoded message.
 
     Args:
-        model: What it must be.
-        content: What `unpack_map` returned.
+        model: Type of the message.
+        content: Returned by `unpack_map`.
 
     Raises:
-        WireError: It is not this message.
+        WireError: It is not of this type.
     """
     try:
         return model.model_validate(content)
-    except (ValidationError, RecursionError) as error:
-        raise WireError("malformed", f"no {model.__name__}: {_first(error)}") from None
-
-
-def _first(error: ValidationError | RecursionError) -> str:
-    if isinstance(error, RecursionError):
-        return "nested too deeply"
-    detail = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, detail['loc']))}: {detail['msg']}"
+    except ValidationError as error:
+        problem = describe_first_problem(error)
+    except RecursionError:
+        problem = "nested too deeply"
+    raise WireError("malformed", f"no {model.__name__}: {problem}")
 
 
 def _pack_other(value: object) -> object:
     if isinstance(value, np.ndarray):
         return pack_array(value)
-    raise TypeError(f"{type(value).__name__} has no place in a message")
+    raise TypeError(
+        f"{type(value).__name__} cannot be encoded; use scalars, text, lists, maps and arrays"
+    )

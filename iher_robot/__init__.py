@@ -1,8 +1,8 @@
 """Learn manipulation from minutes of robot time, on a simulated robot or a real one.
 
 ``iher_robot.train(task="push", budget_minutes=10)`` is what ``iher-robot train`` does. Importing
-the package registers its Gymnasium environments, such as ``iher_robot/Push-v0``; torch and the
-simulator are loaded when they are first used.
+the package registers its Gymnasium environments, such as ``iher_robot/Push-v0``, at once or as soon
+as Gymnasium is imported; numpy, torch and the simulator are loaded when a name is first used.
 """
 
 from __future__ import annotations
@@ -10,51 +10,52 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
-from iher_robot._shadowing import require_packages_beside
+from iher_robot._shadowing import require_own_packages
 from iher_robot.version import __version__
 
-require_packages_beside("drivers", "tasks")
+require_own_packages("drivers", "tasks")
 
-from drivers import (  # noqa: E402  (only once it is known that these are ours)
-    ActionSpec,
-    AppliedCommand,
-    Box,
-    Command,
-    DriverError,
-    EndEffectorCommand,
-    GripperLimits,
-    Home,
-    InvalidRequest,
-    InvalidSpec,
-    JointCommand,
-    JointLimits,
-    JointSetpoint,
-    Kinematics,
-    Limits,
-    Mode,
-    MonotonicClock,
-    ObjectPose,
-    ObjectSource,
-    ResetOutcome,
-    ResetRequest,
-    ResetResult,
-    RobotDriver,
-    RobotSpec,
-    RobotState,
-    SimulatedClock,
-    make_driver,
-)
-from iher_robot.env import GoalRobotEnv, make_env  # noqa: E402
-from iher_robot.env.registration import register_envs  # noqa: E402
+from iher_robot.env.registration import register_envs, register_envs_with_gymnasium  # noqa: E402
 from iher_robot.errors import UserError  # noqa: E402
-from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task  # noqa: E402
 
 if TYPE_CHECKING:
+    from drivers import (
+        ActionSpec,
+        AppliedCommand,
+        Box,
+        Command,
+        DriverError,
+        EndEffectorCommand,
+        GripperLimits,
+        Home,
+        InvalidRequest,
+        InvalidSpec,
+        JointCommand,
+        JointLimits,
+        JointSetpoint,
+        Kinematics,
+        Limits,
+        Mode,
+        MonotonicClock,
+        ObjectPose,
+        ObjectSource,
+        ResetOutcome,
+        ResetRequest,
+        ResetResult,
+        RobotDriver,
+        RobotSpec,
+        RobotState,
+        SimulatedClock,
+        make_driver,
+    )
+    from iher_robot.config.run import RunConfig, load_config, read_config
     from iher_robot.deployment.deploy import DeployResult, deploy
+    from iher_robot.env.goal_env import GoalRobotEnv, make_env
     from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
     from iher_robot.experiments.experiment import ExperimentResult, experiment
     from iher_robot.experiments.report.report import ReportResult, report
     from iher_robot.training.train import TrainResult, resume, train
+    from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task
 
 __all__ = [
     "TASKS",
@@ -90,6 +91,7 @@ __all__ = [
     "RobotDriver",
     "RobotSpec",
     "RobotState",
+    "RunConfig",
     "SimulatedClock",
     "TaskError",
     "TrainResult",
@@ -98,29 +100,59 @@ __all__ = [
     "deploy",
     "evaluate",
     "experiment",
+    "load_config",
     "make_driver",
     "make_env",
     "make_task",
+    "read_config",
     "register_envs",
     "report",
     "resume",
     "train",
 ]
 
-# These need torch, which takes seconds to load.
-_LAZY = {
-    "DeployResult": "iher_robot.deployment.deploy",
-    "EvaluationResult": "iher_robot.evaluation.evaluate",
-    "ExperimentResult": "iher_robot.experiments.experiment",
-    "ReportResult": "iher_robot.experiments.report.report",
-    "TrainResult": "iher_robot.training.train",
-    "deploy": "iher_robot.deployment.deploy",
-    "evaluate": "iher_robot.evaluation.evaluate",
-    "experiment": "iher_robot.experiments.experiment",
-    "report": "iher_robot.experiments.report.report",
-    "resume": "iher_robot.training.train",
-    "train": "iher_robot.training.train",
+_NAMES = {
+    "drivers": (
+        "ActionSpec",
+        "AppliedCommand",
+        "Box",
+        "Command",
+        "DriverError",
+        "EndEffectorCommand",
+        "GripperLimits",
+        "Home",
+        "InvalidRequest",
+        "InvalidSpec",
+        "JointCommand",
+        "JointLimits",
+        "JointSetpoint",
+        "Kinematics",
+        "Limits",
+        "Mode",
+        "MonotonicClock",
+        "ObjectPose",
+        "ObjectSource",
+        "ResetOutcome",
+        "ResetRequest",
+        "ResetResult",
+        "RobotDriver",
+        "RobotSpec",
+        "RobotState",
+        "SimulatedClock",
+        "make_driver",
+    ),
+    "iher_robot.config.run": ("RunConfig", "load_config", "read_config"),
+    "iher_robot.deployment.deploy": ("DeployResult", "deploy"),
+    "iher_robot.env.goal_env": ("GoalRobotEnv", "make_env"),
+    "iher_robot.evaluation.evaluate": ("EvaluationResult", "evaluate"),
+    "iher_robot.experiments.experiment": ("ExperimentResult", "experiment"),
+    "iher_robot.experiments.report.report": ("ReportResult", "report"),
+    "iher_robot.training.train": ("TrainResult", "resume", "train"),
+    "tasks": ("TASKS", "GoalModel", "GoalTask", "TaskError", "make_task"),
 }
+# Module of each name that is imported when it is first used: these need numpy, which takes a tenth
+# of a second to load, or torch, which takes seconds.
+_LAZY = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
@@ -133,4 +165,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-register_envs()
+register_envs_with_gymnasium()

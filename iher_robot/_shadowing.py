@@ -1,4 +1,4 @@
-"""Checks that `drivers` and `tasks` are ours: common names are easily shadowed."""
+"""Check that `drivers` and `tasks` are not shadowed by other packages of these names."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 _SITE = Path(__file__).resolve().parent.parent
 
 
-def require_packages_beside(*names: str) -> None:
-    """Check that top-level packages resolve beside `iher_robot`.
+def require_own_packages(*names: str) -> None:
+    """Check that top-level packages resolve to the folder that holds `iher_robot`.
 
     Args:
         names: Packages that are installed with `iher_robot`, in the same folder.
 
     Raises:
-        ImportError: One resolves elsewhere or not at all; the message names the path.
+        ImportError: A package is missing or resolves elsewhere; the message names the path.
     """
     for name in names:
         found = _location(name)
@@ -24,7 +24,7 @@ def require_packages_beside(*names: str) -> None:
             continue
         if found is None:
             raise ImportError(
-                f"iher_robot needs its package {name!r} at {_SITE / name}, and there is none: "
+                f"iher_robot needs its package {name!r} at {_SITE / name}, which is missing: "
                 "install iher-robot again",
                 name=name,
             )
@@ -38,7 +38,7 @@ def require_packages_beside(*names: str) -> None:
 
 
 def _location(name: str) -> Path | None:
-    """The folder of a package, or the file of a module, that `import name` would give."""
+    """Folder of the package, or file of the module, that `import name` gives."""
     loaded = sys.modules.get(name)
     spec = importlib.util.find_spec(name) if loaded is None else loaded.__spec__
     if spec is None:

@@ -1,4 +1,4 @@
-"""SIGTERM ends the program as Ctrl-C does."""
+"""Handle SIGTERM like Ctrl-C."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _arrived = threading.Event()
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived: whatever a Ctrl-C settles, holds and disarms, this does too."""
+    """SIGTERM arrived; cleans up like a `KeyboardInterrupt`."""
 
 
 @contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM unwind the program as Ctrl-C does, instead of ending it on the spot."""
+    """Raise `Terminated` on SIGTERM, instead of ending the process at once."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may set handlers
         return
 
     def terminate(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001
-        # A second one must not cut short what settles the ledger and disarms the robot.
+        # A second one must not interrupt the settling of the ledger and the disarming of the robot.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         _arrived.set()
         raise Terminated
@@ -34,17 +34,17 @@ def sigterm_as_interrupt() -> Iterator[None]:
         yield
     finally:
         _arrived.clear()
-        # Where it is ignored the process is about to exit, and with a code of its own.
+        # If it is ignored, the process is about to exit with its own code.
         if signal.getsignal(signal.SIGTERM) is terminate:
             signal.signal(signal.SIGTERM, before)
 
 
 def end_if_terminated() -> None:
-    """Raise `Terminated` if a SIGTERM has arrived: work goes on that it should have ended.
+    """Raise `Terminated` if a SIGTERM has arrived and its exception was lost.
 
-    Python raises in whatever the main thread does at that moment, and drops what is raised in a
-    finalizer or in a callback of the garbage collector. So work that goes on for long, above all
-    work that moves a robot, asks here between its steps.
+    Python raises wherever the main thread happens to be, and discards exceptions in finalizers and
+    in callbacks of the garbage collector. Long work, above all work that moves a robot, calls this
+    between its steps.
 
     Raises:
         Terminated: A SIGTERM has arrived since `sigterm_as_interrupt` was entered.

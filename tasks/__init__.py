@@ -1,4 +1,4 @@
-"""What is asked: goals, observations, rewards, resets."""
+"""Goal-reaching tasks: observations, goals, rewards, resets, symmetries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays of numpy and tensors of torch, which the goal models take alike."""
+"""Functions and types for numpy arrays and torch tensors alike."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import torch  # the tasks work without it: only annotations name it
+    import torch  # for annotations only: the tasks work without torch
 
 FloatArray = NDArray[np.floating]
 
 ArrayT = TypeVar("ArrayT", NDArray[np.floating], "torch.Tensor")
-"""Either kind, the same throughout one call."""
+"""An array or a tensor; one call takes and returns only one of them."""
 
 
 def copied(array: ArrayT) -> ArrayT:
-    """Return a new array of the same kind and values."""
+    """Return a copy."""
     if isinstance(array, np.ndarray):
         return array.copy()
     return array.clone()
@@ -25,6 +25,6 @@ def copied(array: ArrayT) -> ArrayT:
 
 def square_root(array: ArrayT) -> ArrayT:
     """Return the square root, correctly rounded: ``** 0.5`` can differ in the last bit."""
-    if isinstance(array, np.ndarray | np.floating):  # a sum over the only axis is no array
+    if isinstance(array, np.ndarray | np.floating):  # a sum over the only axis is a scalar
         return np.asarray(np.sqrt(array))
     return array.sqrt()

@@ -1,4 +1,4 @@
-"""What can go wrong with a task."""
+"""Errors of tasks."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class InvalidFrame(TaskError, ValueError):
 
 
 class UnboundTask(TaskError, RuntimeError):
-    """A call that needs the robot's description, which `GoalTask.bind` gives."""
+    """A call that needs the robot's description, before `GoalTask.bind`."""
 
 
 class MissingObject(TaskError, ValueError):
-    """The robot does not report an object that the task is about."""
+    """The robot does not report an object that the task needs."""

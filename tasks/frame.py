@@ -1,4 +1,4 @@
-"""Where a task happens: the table, the goal region, the object."""
+"""Geometry of a task: start and goal regions, object, success threshold."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ class TaskFrame:
     """Geometry of a task, in the robot's frame. Fetch's constants are each task's default.
 
     Attributes:
-        home: Centre of the start and goal regions, m; None for where the robot declares its
-            own home.
-        object_height: Height of the object's centre at rest, m; None for what the robot
-            declares, and where it declares none for the height measured at the start.
-        object_range: Objects start within this of the centre in x and y, m.
-        min_object_distance: Objects start at least this far from the centre in the plane, m.
-        goal_range: Goals lie within this of the centre, m.
+        home: Centre of the start and goal regions, m; None for the robot's own home.
+        object_height: Height of the object's centre at rest, m; None for the height that the
+            robot declares, or else the height measured at the start.
+        object_range: Greatest distance of an object's start from the centre in x and in y, m.
+        min_object_distance: Least distance of an object's start from the centre in the plane, m.
+        goal_range: Greatest distance of a goal from the centre along each axis, m.
         goal_offset: Added to every goal, m.
         air_probability: Share of goals above the table.
-        air_height: Greatest height of those above the resting object, m.
+        air_height: Greatest height of those goals above the resting object, m.
         object_size: Half extents of the object, m.
-        threshold: A goal is reached within this distance, m.
-        even_area: Lower and upper corner, around home in the plane, of the area in which it
-            makes no difference where gripper and object are, m.
+        threshold: Distance within which a goal is reached, m.
+        even_area: Lower and upper corner, relative to home in the plane, of the area in which the
+            dynamics do not depend on where gripper and object are, m.
     """
 
     home: Vector3 | None = None
@@ -60,7 +59,7 @@ class TaskFrame:
             raise InvalidFrame(
                 f"even_area is {self.even_area}, allowed: a lower and an upper corner, in metres"
             )
-        # Starts are drawn from a square until one is far enough: there must be some.
+        # Starts are drawn from a square until one is far enough from its centre.
         if not 0.0 <= self.min_object_distance < self.object_range * math.sqrt(2.0):
             raise InvalidFrame(
                 f"min_object_distance is {self.min_object_distance}, allowed: 0 to below "

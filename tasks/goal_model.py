@@ -1,4 +1,4 @@
-"""Goals and rewards as functions of observations alone, real or imagined."""
+"""Goals and rewards as pure functions of observations, measured or imagined."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tasks.layout import ObservationLayout
 class GoalModel(ABC):
     """Pure functions, batched over leading axes, on numpy arrays and torch tensors alike.
 
-    The learner calls them on observations that no robot ever made.
+    The learner also calls them on imagined observations.
     """
 
     def __init__(
@@ -27,13 +27,13 @@ class GoalModel(ABC):
         threshold: float,
         hand_actions: tuple[int, ...] = (),
     ) -> None:
-        """Choose what counts.
+        """Define the goals by an entry of the observation.
 
         Args:
             layout: Layout of the observations.
-            achieved: Entry that is compared with the goal.
+            achieved: Name of the entry that is compared with the goal.
             threshold: Distance within which a goal is reached, m.
-            hand_actions: Entries of the action that open a hand, at 1, and close it, at -1.
+            hand_actions: Indices of the action that open a hand, at 1, and close it, at -1.
         """
         self.layout = layout
         self.threshold = threshold
@@ -48,12 +48,12 @@ class GoalModel(ABC):
 
     @property
     def achieved_entries(self) -> tuple[int, ...]:
-        """Entries of an observation that a goal is compared with."""
+        """Indices of an observation that a goal is compared with."""
         return self.layout.entries(self._achieved_entry)
 
     @property
     def effector_entries(self) -> tuple[int, ...]:
-        """Entries of an observation with the position of the end effector."""
+        """Indices of an observation with the position of the end effector."""
         return self.layout.entries(self.layout.effector)
 
     @abstractmethod
@@ -62,7 +62,7 @@ class GoalModel(ABC):
 
         Args:
             rng: Source of randomness.
-            start_obs: Observations at the start, as measured. ``(batch, obs_dim)``
+            start_obs: Observations measured at the start. ``(batch, obs_dim)``
 
         Returns:
             Goals, m, in the robot's frame. ``(batch, goal_dim)``
@@ -80,21 +80,21 @@ class GoalModel(ABC):
         return obs[..., self._achieved]
 
     def effector_position(self, obs: ArrayT) -> ArrayT:
-        """Return where the end effector is, m, in the robot's frame. ``(..., 3)``"""
+        """Return the position of the end effector, m, in the robot's frame. ``(..., 3)``"""
         return obs[..., self.layout.slices[self.layout.effector]]
 
     def object_position(self, obs: ArrayT) -> ArrayT:
-        """Return where the object is, m, in the robot's frame. ``(..., 3)``
+        """Return the position of the object, m, in the robot's frame. ``(..., 3)``
 
         Raises:
-            MissingObject: If the layout has none.
+            MissingObject: If the layout has no object.
         """
         if self.layout.object_entry is None:
             raise MissingObject(f"the layout {list(self.layout.names)} has no object")
         return obs[..., self.layout.slices[self.layout.object_entry]]
 
     def distance(self, achieved: ArrayT, desired: ArrayT) -> ArrayT:
-        """Return how far goals are apart, m. ``(...,)``"""
+        """Return the distance between goals, m. ``(...,)``"""
         difference = achieved - desired
         squared: ArrayT = (difference * difference).sum(-1)
         return square_root(squared)
@@ -104,7 +104,7 @@ class GoalModel(ABC):
 
         Args:
             achieved: Goals achieved. ``(..., goal_dim)``
-            desired: Goals wanted. ``(..., goal_dim)``
+            desired: Goals desired. ``(..., goal_dim)``
 
         Returns:
             0 within the threshold, else -1. ``(...,)``
@@ -122,17 +122,17 @@ class GoalModel(ABC):
         """Return the same goals with a stricter reward, for learning.
 
         Args:
-            share: What is left of the threshold, above 0 and at most 1.
+            share: Factor on the threshold, above 0 and at most 1.
         """
         strict = copy.copy(self)
         strict.threshold = share * self.threshold
         return strict
 
     def complete(self, obs: ArrayT) -> ArrayT:
-        """Recompute the entries that follow from others, such as object relative to gripper.
+        """Recompute the derived entries, such as the object's position relative to the gripper.
 
         Args:
-            obs: Observations, imagined for instance. ``(..., obs_dim)``
+            obs: Observations, such as imagined ones. ``(..., obs_dim)``
 
         Returns:
             A new array or tensor. ``(..., obs_dim)``

@@ -1,4 +1,4 @@
-"""What each entry of an observation vector is."""
+"""Layout of an observation vector: named slices, and entries derived from others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tasks.arrays import ArrayT, copied
 
 @dataclass(frozen=True)
 class Difference:
-    """An entry that follows from two others: ``target = minuend - subtrahend``."""
+    """An entry derived from two others: ``target = minuend - subtrahend``."""
 
     target: str
     minuend: str
@@ -25,7 +25,7 @@ class ObservationLayout:
 
     Attributes:
         sizes: Name and length of each entry, in order.
-        derived: Entries that follow from others.
+        derived: Entries derived from others.
         effector: Entry with the position of the end effector.
         object_entry: Entry with the position of the object, None without one.
     """
@@ -37,16 +37,16 @@ class ObservationLayout:
 
     def __post_init__(self) -> None:
         if len(self.slices) != len(self.sizes):
-            raise ValueError(f"entries {self.names} are not all different")
+            raise ValueError(f"entries are {self.names}, allowed: names that are all different")
         used = [name for entry in self.derived for name in vars(entry).values()]
         used += [self.effector] if self.object_entry is None else [self.effector, self.object_entry]
         missing = sorted(set(used) - set(self.names))
         if missing:
-            raise ValueError(f"no entry {missing}, entries: {list(self.names)}")
+            raise ValueError(f"layout has no entry {missing}, entries: {list(self.names)}")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Entries in order."""
+        """Names of the entries in order."""
         return tuple(name for name, _ in self.sizes)
 
     @property
@@ -56,7 +56,7 @@ class ObservationLayout:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where each entry lies."""
+        """Slice of each entry."""
         found, start = {}, 0
         for name, size in self.sizes:
             found[name] = slice(start, start + size)
@@ -64,11 +64,11 @@ class ObservationLayout:
         return found
 
     def entries(self, name: str) -> tuple[int, ...]:
-        """Return where each number of an entry lies."""
+        """Return the indices of an entry."""
         return tuple(range(self.obs_dim)[self.slices[name]])
 
     def complete(self, obs: ArrayT) -> ArrayT:
-        """Recompute the derived entries from those that they follow from.
+        """Recompute the derived entries.
 
         Args:
             obs: Observations. ``(..., obs_dim)``

@@ -1,4 +1,4 @@
-"""Pick a block up and bring it to a place."""
+"""The pick-and-place task: lift a block and bring it to a goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Push a block to a place on the table."""
+"""The push task: push a block to a goal on the table."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ class Push(TabletopTask):
     name = "push"
     scene = "push"
     blocks_gripper = True
-    rough_mirrors = ("xy",)  # closed, the fingers are about as wide as thick
+    rough_mirrors = ("xy",)  # the closed fingers are about as wide as thick
     default_frame = TaskFrame()

@@ -1,4 +1,4 @@
-"""Bring the gripper to a point."""
+"""The reach task: bring the gripper to a goal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ReachGoals(GoalModel):
     """Goals in a cube around home, reached by the gripper."""
 
     def __init__(self, layout: ObservationLayout, frame: TaskFrame, home: Callable[[], Vector3]):
-        """Set the goals up.
+        """Define the goals.
 
         Args:
             layout: Layout of the observations.
@@ -65,7 +65,7 @@ class Reach(GoalTask):
         )
 
     def reset_request(self, rng: np.random.Generator) -> ResetRequest:  # noqa: ARG002
-        """Ask for home; there is no object, and nothing is drawn."""
+        """Return an empty request: there is no object, and nothing is drawn."""
         return ResetRequest()
 
     def _make_goal_model(self) -> GoalModel:

@@ -1,4 +1,4 @@
-"""Tasks by name."""
+"""Registry of tasks by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TASKS: Mapping[str, type[GoalTask]] = {
 
 
 def canonical_name(name: str) -> str:
-    """Return the name of a task as the registry has it.
+    """Return the name of a task in the registry.
 
     Args:
         name: The name, in which hyphens may stand for underscores.

@@ -1,4 +1,4 @@
-"""Orientations as the Fetch environments report them."""
+"""Conversion of quaternions to the Euler angles of the Fetch environments."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def quat_to_euler(quat: NDArray[np.float64]) -> NDArray[np.float64]:
     m01, m10 = 2.0 * (x * y - w * z), 2.0 * (x * y + w * z)
     m02 = 2.0 * (x * z + w * y)
     m12 = 2.0 * (y * z - w * x)
-    # Not ** 0.5, whose last bit can differ.
+    # Not ** 0.5, which can differ in the last bit.
     cosine = math.sqrt(m22 * m22 + m12 * m12)
     if cosine > _GIMBAL:
         # One call of numpy's arctan2: math.atan2 can differ from it in the last bit.

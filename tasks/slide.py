@@ -1,4 +1,4 @@
-"""Hit a puck so that it slides to a place out of reach."""
+"""The slide task: hit a puck so that it slides to a goal out of reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shifts and mirror images in the table's plane, which leave a task as it is."""
+"""Symmetries of a task: translations in the table's plane and reflections in upright planes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _AXES = 3
 
 
 class Kind(StrEnum):
-    """What an entry of an observation is, for maps of space.
+    """How a spatial map acts on an entry of an observation.
 
     Attributes:
         POSITION: A point: x, y, z.
         VECTOR: A difference of points, or a velocity.
-        AXIAL: An angular velocity, or Euler angles about x, y and z: a mirror image keeps the
-            part about its normal and turns the others round.
-        FINGERS: Right and left finger, which a mirror image with normal y exchanges.
+        AXIAL: An angular velocity, or Euler angles about x, y and z: a reflection keeps the
+            component along its normal and negates the others.
+        FINGERS: Right and left finger, which a reflection with normal y exchanges.
     """
 
     POSITION = auto()
@@ -35,13 +35,13 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class PlaneMap(Generic[ArrayT]):
-    """One map a row: some mirror images, then a shift. All of it is batched over rows.
+    """A batch of maps, one per row: reflections, then a translation.
 
     Attributes:
-        symmetry: What it is a map of.
+        symmetry: The symmetry that the maps belong to.
         diagonal: 1 where x and y are exchanged first, else 0. ``(batch, 1)``
-        sign: 1 or -1 an axis, -1 where it is mirrored. ``(batch, 3)``
-        offset: What is added to a position after ``sign`` multiplied it, m. ``(batch, 3)``
+        sign: -1 for each axis that is reflected, else 1. ``(batch, 3)``
+        offset: Added to a position after the multiplication by `sign`, m. ``(batch, 3)``
     """
 
     symmetry: PlaneSymmetry
@@ -58,7 +58,7 @@ class PlaneMap(Generic[ArrayT]):
         return image
 
     def action(self, action: ArrayT) -> ArrayT:
-        """Map actions: dx, dy, dz, then what has no direction. ``(batch, action_dim)``"""
+        """Map actions: dx, dy, dz, then components without a direction. ``(batch, action_dim)``"""
         image = copied(action)
         image[..., :_AXES] = self.sign * self._exchanged(action[..., :_AXES])
         return image
@@ -86,15 +86,15 @@ class PlaneMap(Generic[ArrayT]):
 
 
 class PlaneSymmetry:
-    """Shifts along the table and mirror images in upright planes.
+    """Translations along the table and reflections in upright planes.
 
-    Neither changes what happens, as long as gripper and object stay where the table is level
-    and the arm moves freely: within `area`. A step that begins or ends outside of it, for the
-    gripper or the object, is mapped to itself. The mirror image in the diagonal, which exchanges
-    x and y, is that of a gripper which is as wide as it is thick, and of an object that lies flat:
-    the Euler angles of a tilted one are taken about the axes in another order.
+    They leave dynamics and rewards unchanged while gripper and object are within `area`, where
+    the table is level and the arm moves freely. A step that begins or ends with one of them
+    outside is mapped to itself. The diagonal reflection, which exchanges x and y, holds for a
+    gripper that is as wide as thick and an object that lies flat: the Euler angles of a tilted
+    one would have another order of axes.
 
-    The rows' maps follow from numbers in [0, 1) that the caller draws, `draws` of them a row.
+    The maps follow from numbers in [0, 1) that the caller draws, `draws` of them per row.
     """
 
     draws: ClassVar[int] = 5
@@ -108,21 +108,24 @@ class PlaneSymmetry:
         shift_m: float = 0.1,
         mirrors: Sequence[Plane] = ("x", "y"),
     ) -> None:
-        """Say what may be done to the observations of a layout.
+        """Define the symmetry for the observations of a layout.
 
         Args:
             layout: Layout of the observations.
-            kinds: What each of its entries is.
+            kinds: Kind of each of its entries.
             area: Lower and upper corner, x and y in the robot's frame, m.
-            shift_m: Largest shift along each of the two axes, m.
-            mirrors: Normals of the planes of the mirror images, which halve the area, and ``xy``
-                for the diagonal.
+            shift_m: Largest translation along each of the two axes, m.
+            mirrors: Normals of the planes of reflection, which pass through the centre of the
+                area, and ``xy`` for the diagonal.
 
         Raises:
             ValueError: If `kinds` does not name exactly the entries of the layout.
         """
         if set(kinds) != set(layout.names):
-            raise ValueError(f"kinds of {sorted(kinds)}, the layout has {sorted(layout.names)}")
+            raise ValueError(
+                f"kinds names {sorted(kinds)}, allowed: the entries of the layout, "
+                f"{sorted(layout.names)}"
+            )
         self.layout = layout
         self.kinds = dict(kinds)
         self.mirrors = tuple(mirrors)
@@ -137,7 +140,7 @@ class PlaneSymmetry:
 
     @property
     def shifted(self) -> tuple[int, ...]:
-        """Entries of the observation that a shift changes: x and y of every position."""
+        """Indices of the observation that a translation changes: x and y of every position."""
         starts = [
             self.layout.slices[name].start
             for name, kind in self.kinds.items()
@@ -151,10 +154,10 @@ class PlaneSymmetry:
         Args:
             uniform: Numbers in [0, 1). ``(batch, draws)``
             start: Observations before the step. ``(batch, obs_dim)``
-            end: Observations after it; ``start`` again where there is no step.
+            end: Observations after the step; ``start`` again where there is none.
 
         Returns:
-            The maps, the identity where the step is not within the area.
+            The maps; the identity where the step is not within the area.
         """
         sign, offset = copied(start[..., :_AXES]), copied(start[..., :_AXES])
         sign[...], offset[...] = 1.0, 0.0
@@ -184,7 +187,7 @@ class PlaneSymmetry:
         return PlaneMap(self, diagonal[..., None], sign, offset)
 
     def _diagonal(self, uniform: ArrayT, start: ArrayT, end: ArrayT) -> ArrayT:
-        """1 for x and y exchanged, in half of the rows inside both ways. ``(batch,)``"""
+        """Return 1 to exchange x and y, for half of the rows that allow it, else 0. ``(batch,)``"""
         least = min(self._half)
         chosen = uniform[..., 4] < (0.5 if "xy" in self.mirrors else 0.0)
         for o in (start, end):

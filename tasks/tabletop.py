@@ -1,4 +1,4 @@
-"""What the tasks with an object on a table share."""
+"""Base class and goal model of tasks with an object on a table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tasks.task import GoalTask
 
 OBJECT = "object0"
 GRIPPER_ACTIONS = (3,)
-"""Entries of the action that open and close the gripper."""
+"""Indices of the action that open and close the gripper."""
 
 OBJECT_LAYOUT = ObservationLayout(
     sizes=(
@@ -52,7 +52,7 @@ OBJECT_KINDS = {
 
 
 class TabletopGoals(GoalModel):
-    """Goals on the table or above it, reached by the object."""
+    """Goals of an object's position, on the table or above it."""
 
     def __init__(
         self,
@@ -62,15 +62,15 @@ class TabletopGoals(GoalModel):
         object_height: Callable[[], float | None],
         hand_actions: tuple[int, ...],
     ) -> None:
-        """Set the goals up.
+        """Define the goals.
 
         Args:
             layout: Layout of the observations.
             frame: Geometry of the task.
             home: Returns the centre of the goal region, m, once it is known.
-            object_height: Returns the height of the resting object, m, None where only
-                the start shows it.
-            hand_actions: Entries of the action that open and close the gripper.
+            object_height: Returns the height of the resting object, m, None if it must be taken
+                from the start.
+            hand_actions: Indices of the action that open and close the gripper.
         """
         assert layout.object_entry is not None
         super().__init__(layout, layout.object_entry, frame.threshold, hand_actions)
@@ -79,7 +79,7 @@ class TabletopGoals(GoalModel):
         self._object_height = object_height
 
     def sample_goal(self, rng: np.random.Generator, start_obs: FloatArray) -> NDArray[np.float64]:
-        """Draw a goal for each start; one start takes the draws of the reference.
+        """Draw a goal for each start; for a single start, with the same draws as the reference.
 
         Source: ``_sample_goal`` of `gymnasium_robotics/envs/fetch/fetch_env.py`.
         """
@@ -96,17 +96,17 @@ class TabletopGoals(GoalModel):
 
 
 class TabletopTask(GoalTask):
-    """A task whose goal is a place for one object."""
+    """A task whose goal is a position of one object."""
 
     layout = OBJECT_LAYOUT
     kinds = OBJECT_KINDS
 
     def __init__(self, frame: TaskFrame | None = None, spec: RobotSpec | None = None) -> None:
-        """Set the task up.
+        """Create the task.
 
         Args:
             frame: Its geometry; Fetch's by default.
-            spec: Description of the robot, if it is known already.
+            spec: Description of the robot, if known.
 
         Raises:
             MissingObject: If the robot does not report the object.
@@ -149,7 +149,7 @@ class TabletopTask(GoalTask):
         )
 
     def reset_request(self, rng: np.random.Generator) -> ResetRequest:
-        """Draw where the object lies: in a square, but not under the gripper.
+        """Draw the object's position: in a square around home, but not under the gripper.
 
         Source: ``_reset_sim`` of `gymnasium_robotics/envs/fetch/fetch_env.py`.
         """

@@ -1,4 +1,4 @@
-"""What is asked of a robot."""
+"""Base class of goal-reaching tasks."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from tasks.symmetry import Kind, Plane, PlaneSymmetry
 class GoalTask(ABC):
     """A goal-reaching task: observations, starts, goals and rewards.
 
-    A task is made without a robot; `bind` gives it the robot's description, which says
-    where home is and how long a tick takes. Rewards and achieved goals need no robot.
+    A task is created without a robot; `bind` gives it the robot's description, with home and
+    control period. Rewards and achieved goals need no robot.
 
     Attributes:
         name: Name of the task.
-        scene: Name of the scene that a simulator sets up for it.
+        scene: Name of the scene that a simulator loads for it.
         layout: Layout of its observations.
         episode_ticks: Control ticks of an episode.
-        blocks_gripper: Whether the gripper stays as it is, whatever the policy asks.
+        blocks_gripper: Whether the gripper ignores the policy's action.
         default_frame: Fetch's constants.
-        kinds: What each entry of its observations is, for `symmetry`; empty without one.
-        mirrors: Normals of the upright planes whose mirror images leave the task as it is.
-        rough_mirrors: Those whose mirror images do so only roughly, and only for a robot that
-            takes commands of its end effector, which moves alike in x and y; ``xy`` for the
-            diagonal.
+        kinds: Kind of each entry of its observations, for `symmetry`; empty without a symmetry.
+        mirrors: Normals of the upright planes of reflection that leave the task unchanged.
+        rough_mirrors: Normals of those that do so approximately, and only for a robot that takes
+            end-effector commands, whose motion is the same in x and y; ``xy`` for the diagonal.
     """
 
     name: ClassVar[str]
@@ -49,11 +48,11 @@ class GoalTask(ABC):
     rough_mirrors: ClassVar[tuple[Plane, ...]] = ()
 
     def __init__(self, frame: TaskFrame | None = None, spec: RobotSpec | None = None) -> None:
-        """Set the task up.
+        """Create the task.
 
         Args:
             frame: Its geometry; Fetch's by default.
-            spec: Description of the robot, if it is known already.
+            spec: Description of the robot, if known.
         """
         self.frame = self.default_frame if frame is None else frame
         self._spec = spec
@@ -65,7 +64,7 @@ class GoalTask(ABC):
             spec: The robot's description.
 
         Raises:
-            MissingObject: If the robot does not report an object that the task is about.
+            MissingObject: If the robot does not report an object that the task needs.
         """
         return type(self)(self.frame, spec)
 
@@ -74,10 +73,10 @@ class GoalTask(ABC):
         """Description of the robot.
 
         Raises:
-            UnboundTask: If there is none yet.
+            UnboundTask: If the task is not bound to a robot.
         """
         if self._spec is None:
-            raise UnboundTask(f"task {self.name!r} knows no robot yet; use task.bind(spec)")
+            raise UnboundTask(f"task {self.name!r} is not bound to a robot; use task.bind(spec)")
         return self._spec
 
     @property
@@ -101,17 +100,16 @@ class GoalTask(ABC):
         return self._make_goal_model()
 
     def symmetry(self, *, rough: bool = False) -> PlaneSymmetry | None:
-        """Return the maps that leave dynamics and reward as they are.
+        """Return the maps that leave dynamics and reward unchanged.
 
         Args:
-            rough: Whether those are among them that do so only roughly, if the robot is one for
-                them.
+            rough: Whether to include those that do so approximately, if the robot allows them.
 
         Returns:
-            The maps; None where no kinds are declared.
+            The maps; None if no kinds are declared.
 
         Raises:
-            UnboundTask: If the task knows no robot yet.
+            UnboundTask: If the task is not bound to a robot.
         """
         if not self.kinds:
             return None
@@ -125,7 +123,7 @@ class GoalTask(ABC):
 
     @property
     def contact_model(self) -> GoalModel | None:
-        """Where effector and object are; None without an object."""
+        """Goal model with the positions of effector and object; None without an object."""
         return None if self.layout.object_entry is None else self.goal_model
 
     def is_success(self, achieved: NDArray[np.floating], desired: NDArray[np.floating]) -> bool:
@@ -133,7 +131,7 @@ class GoalTask(ABC):
 
         Args:
             achieved: The goal achieved. ``(goal_dim,)``
-            desired: The goal wanted. ``(goal_dim,)``
+            desired: The goal desired. ``(goal_dim,)``
         """
         return bool(self.goal_model.is_success(achieved, desired))
 
@@ -142,26 +140,26 @@ class GoalTask(ABC):
         """Return the observation of a state, in the order of `layout`.
 
         Args:
-            state: As the robot reported it.
+            state: State reported by the robot.
 
         Returns:
             Positions in m, angles in rad, velocities in m and rad per tick. ``(obs_dim,)``
 
         Raises:
-            UnboundTask: If the task knows no robot yet.
+            UnboundTask: If the task is not bound to a robot.
         """
 
     @abstractmethod
     def reset_request(self, rng: np.random.Generator) -> ResetRequest:
-        """Draw where things should be when the next episode starts.
+        """Draw the places of the objects at the start of the next episode.
 
         Args:
             rng: Source of randomness.
 
         Raises:
-            UnboundTask: If the task knows no robot yet.
+            UnboundTask: If the task is not bound to a robot.
         """
 
     @abstractmethod
     def _make_goal_model(self) -> GoalModel:
-        """Return the goal model. An unbound task's cannot sample goals."""
+        """Return the goal model; that of an unbound task cannot sample goals."""

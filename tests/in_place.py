@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from iher_robot.storage.files.checksum import seal_line
+from iher_robot.storage.files.checksum import dump_checked
 
 
 def as_if_left_there(copy: Path) -> Path:
@@ -18,5 +18,5 @@ def as_if_left_there(copy: Path) -> Path:
         if text := lock.read_text().strip("\0 \n"):
             note = json.loads(text) | {"inode": lock.stat().st_ino}
             note.pop("sha256")
-            lock.write_bytes(seal_line(note))
+            lock.write_bytes(dump_checked(note))
     return copy

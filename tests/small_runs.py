@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.training import setup as setup_module
 from iher_robot.training import train as train_module
 from iher_robot.training.train import TrainResult, train

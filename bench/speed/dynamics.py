@@ -40,10 +40,12 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
 
 def training(settings: Settings, precision: Precision, batch: int) -> Measure:
     learner, steps = learner_of_push(settings, precision, ()), settings.sized(3, 1)
-    learner.ensemble.fit_normalizers(learner.real, learner.generator)
+    learner.ensemble.fit_normalizers(learner.real.replay, learner.generator)
 
     def train() -> None:
-        learner.ensemble.train(learner.real, steps, batch_size=batch, generator=learner.generator)
+        learner.ensemble.train(
+            learner.real.replay, steps, batch_size=batch, generator=learner.generator
+        )
 
     def measure(_: int) -> float:
         with precision.on_this_process():

@@ -14,7 +14,7 @@ from bench.speed.precision import Precision
 from bench.speed.products import Products
 from bench.speed.settings import Settings
 from bench.speed.timing import seconds_of
-from iher_robot.learning.learner import silent
+from iher_robot.learning.progress import silent
 
 POLICY = (OBSERVATION + GOAL + 1, 256, 256, 256, ACTION)  # one input is the source
 ROWS = 4096

@@ -60,7 +60,7 @@ def learner_with_models(settings: Settings, precision: Precision) -> Learner:
 def fill(learner: Learner, transitions: int) -> None:
     """Add real episodes up to a number of stored transitions."""
     _, episodes = recorded()
-    missing = (transitions - learner.real.num_transitions) // learner.shapes.episode_ticks
+    missing = (transitions - learner.real.replay.num_transitions) // learner.shapes.episode_ticks
     more = variations(episodes, missing, seed=0)
     while batch := list(islice(more, EPISODES_AN_EPOCH)):
         learner.add_real(batch)

@@ -17,7 +17,7 @@ from bench.speed.precision import Precision
 from bench.speed.products import Products
 from bench.speed.settings import Settings
 from bench.speed.timing import seconds_of
-from iher_robot.learning.replay import BLOCK
+from iher_robot.learning.transitions import BLOCK
 
 HIDDEN = (256, 256, 256)
 TARGETS = {256: 3.0, 2048: 2.0}

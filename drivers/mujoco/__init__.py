@@ -1,4 +1,4 @@
-"""The simulated Fetch robot, on MuJoCo."""
+"""Driver of the simulated Fetch robot, on MuJoCo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Fetch robot with motors in its joints, composed from gymnasium-robotics' assets."""
+"""Models of the Fetch robot with motors in its joints, built from gymnasium-robotics' assets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # it looks for a display, and nothing is drawn with it
+    warnings.simplefilter("ignore")  # it warns without a display, which is not used here
     from dm_control import mjcf
 
 from drivers.kinematics import EE_SITE, GUARD_PREFIX
@@ -32,14 +32,14 @@ _PREFIX = "robot0:"
 _BASE_Y = 0.48  # slide joint 1 of the reference at its start (``FetchPushEnv.__init__``)
 _BASE_SLIDES = ("slide0", "slide1", "slide2")
 _HEAD_JOINTS = ("head_pan_joint", "head_tilt_joint")
-# At rest the torso is below the least position of the model file, though not of the robot's
-# own description (fetch_description/robots/fetch.urdf); there it would be pushed up by 37 mm.
+# At rest the torso is below the range in the model file, which would push it up by 37 mm, but
+# within that of the robot's own description (fetch_description/robots/fetch.urdf).
 _TORSO_RANGE = (0.0, 0.3861)
 _TORSO_DAMPING = 100.0
 # The table's top is at 0.4 m and the fingers end 18.5 mm below the grip site.
 _LOWEST_HOME_M = 0.4235
 # Parts of the arm that could hit the table or the head, as spheres along each link: positions
-# in the body's frame and radius, m. Of the fingers the corners at the tips, closed and open.
+# along x of the body's frame and radius, m. Of the fingers the tip corners, closed and open.
 _LINK_GUARDS = {
     "upperarm_roll_link": ((0.0, 0.07), 0.06),
     "elbow_flex_link": ((0.0, 0.1), 0.06),
@@ -56,8 +56,8 @@ _FINGER_OPEN = 0.05
 def arm_model(scene: FetchScene, robot: FetchRobot) -> mujoco.MjModel:
     """Compile a scene whose robot has position-controlled joints.
 
-    The weld, the mocap body and the joints of base and head are gone; gravity is compensated
-    on the robot, as the real one's controllers do.
+    The weld, the mocap body and the joints of base and head are removed. Gravity is compensated
+    on the robot, as by the controllers of the real one.
 
     Args:
         scene: The scene.
@@ -86,7 +86,7 @@ def arm_model(scene: FetchScene, robot: FetchRobot) -> mujoco.MjModel:
 
 
 def kinematic_model(scene: FetchScene) -> str:
-    """Return the arm alone, where it stands in a scene, as MJCF text for `Kinematics`.
+    """Return the arm alone, at its place in a scene, as MJCF text for `Kinematics`.
 
     Args:
         scene: The scene.
@@ -119,10 +119,10 @@ def kinematic_model(scene: FetchScene) -> str:
 
 
 def arm_start(model: mujoco.MjModel, scene: FetchScene) -> StartState:
-    """Return the start of the reference for a robot with motors, its fingers off the table.
+    """Return the start state of the reference for a robot with motors, lifted off the table.
 
-    There the fingers of Push and Slide press on the table at home, where a mocap body brought
-    them; a motor in a joint would press for ever.
+    In the reference the fingers of Push and Slide press on the table at home, where the mocap body
+    brings them; motors would press permanently.
 
     Args:
         model: Compiled by `arm_model`.
@@ -130,7 +130,7 @@ def arm_start(model: mujoco.MjModel, scene: FetchScene) -> StartState:
     """
     dragged = mocap_model(scene)
     lift_m, start = 0.0, settle(dragged, scene)
-    while start.ee_pos[2] < _LOWEST_HOME_M:  # by how much the table holds it up is not known
+    while start.ee_pos[2] < _LOWEST_HOME_M:  # the table holds it up by an unknown distance
         lift_m += 0.005
         start = settle(dragged, scene, lift_m)
     data = mujoco.MjData(model)
@@ -146,7 +146,7 @@ def arm_start(model: mujoco.MjModel, scene: FetchScene) -> StartState:
 
 
 def _guards() -> Iterator[tuple[str, tuple[float, float, float], float]]:
-    """Body, position in its frame and radius of each guarded sphere."""
+    """Yield body, position in its frame and radius of each guarded sphere."""
     for name, (along, radius) in _LINK_GUARDS.items():
         for x in along:
             yield name, (x, 0.0, 0.0), radius
@@ -172,7 +172,7 @@ def _without_mocap(scene: FetchScene) -> Any:
 
 
 def _inlined(path: Path) -> str:
-    """Read a model file with what it includes: PyMJCF loses the textures of included files."""
+    """Read a model file and inline its includes: PyMJCF loses the textures of included files."""
     root = ElementTree.parse(path).getroot()
     for parent in root.iter():
         for index, child in reversed(list(enumerate(parent))):

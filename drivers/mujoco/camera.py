@@ -1,4 +1,4 @@
-"""The camera that sees the object in the simulation."""
+"""Simulated camera that measures the object's pose with rate, delay and noise."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _SECOND_NS = 1_000_000_000
 
 
 class ObjectCamera:
-    """Takes pictures at a rate of its own, and tells what was in them some time later."""
+    """Measures the object's pose at its own rate, and reports it after a delay."""
 
     def __init__(
         self, model: mujoco.MjModel, source: ObjectSource, parameters: SensorParameters
     ) -> None:
-        """Look up what to see.
+        """Look up the object.
 
         Args:
             model: The compiled scene.
-            source: How the robot describes the camera.
-            parameters: Its rate, delay and noise.
+            source: The camera in the robot's description.
+            parameters: Rate, delay and noise.
         """
         self._model = model
         self._source = source
@@ -41,11 +41,11 @@ class ObjectCamera:
         self._due_ns = 0
 
     def begin(self) -> None:
-        """Forget every picture; the first one after this is told at once."""
+        """Drop all measurements; the next one is reported without delay."""
         self._poses.clear()
 
     def see(self, data: mujoco.MjData, now_ns: int, rng: np.random.Generator) -> ObjectPose:
-        """Take a picture if one is due, and return what the newest one told by now shows.
+        """Measure if a measurement is due, and return the newest one whose delay has passed.
 
         Args:
             data: The simulation, at the end of a control tick.

@@ -1,4 +1,4 @@
-"""The simulated Fetch robot, with the physics of gymnasium-robotics' ``Fetch*-v4``."""
+"""Driver of the simulated Fetch robot, with the physics of gymnasium-robotics' ``Fetch*-v4``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from drivers.clock import SimulatedClock
 from drivers.command import Command, ResetOutcome, ResetRequest, ResetResult
 from drivers.driver import RobotDriver
 from drivers.mujoco.actuation import Actuation, MocapActuation
-from drivers.mujoco.arm import arm_model, arm_start, kinematic_model
-from drivers.mujoco.fetch_spec import fetch_spec, kinematic_digest
+from drivers.mujoco.compiled import compile_scene
+from drivers.mujoco.fetch_spec import fetch_spec
 from drivers.mujoco.measure import Sensors
 from drivers.mujoco.picture import Pictures
 from drivers.mujoco.requests import object_places, require_same_model
 from drivers.mujoco.robot import FetchRobot, fetch_robot
-from drivers.mujoco.scene import find_scene, mocap_model, prepare, settle
+from drivers.mujoco.scene import find_scene
 from drivers.mujoco.servo import JointActuation
 from drivers.state import AppliedCommand, RobotState
 
@@ -27,39 +27,36 @@ from drivers.state import AppliedCommand, RobotState
 class MujocoDriver(RobotDriver):
     """A Fetch robot in MuJoCo.
 
-    In ``joint`` actuation motors move its joints, within the limits of the real one. In
-    ``mocap`` actuation a mocap body drags the gripper along and nothing enforces joint limits:
-    it equals gymnasium-robotics' environments, for benchmarks in simulation.
+    In ``joint`` actuation motors move its joints, within the limits of the real robot. In
+    ``mocap`` actuation a mocap body drags the gripper along, as in gymnasium-robotics'
+    environments, and joint limits are not enforced: for benchmarks in simulation only.
 
     The clock is simulated, so that a pause never makes a state stale.
     """
 
     def __init__(self, scene: str = "push", robot: FetchRobot | None = None) -> None:
-        """Compile a scene and find where its episodes start.
+        """Compile a scene and compute its start state.
 
         Args:
             scene: ``"reach"``, ``"push"``, ``"pick_and_place"`` or ``"slide"``.
-            robot: What distinguishes this robot from other Fetch robots.
+            robot: Parameters of the robot.
 
         Raises:
             UnknownDriver: If there is no such scene.
         """
         self._robot = FetchRobot() if robot is None else robot
-        self._scene = find_scene(scene)
+        fetch_scene = find_scene(scene)
+        compiled = compile_scene(scene, self._robot)
+        self._model, self._start = compiled.model, compiled.start
         self._actuation: Actuation
         if self._robot.actuation == "mocap":
-            self._model = mocap_model(self._scene)
-            kinematics = kinematic_digest(self._model)
-            self._start = settle(self._model, self._scene)
-            self._actuation = MocapActuation(self._model, self._scene.locked_fingers)
+            self._actuation = MocapActuation(self._model, fetch_scene.locked_fingers)
         else:
-            self._model = arm_model(self._scene, self._robot)
-            kinematics = kinematic_model(self._scene)
-            self._start = arm_start(self._model, self._scene)
             self._actuation = JointActuation(self._model, self._brake)
-        prepare(self._model, self._robot.object)
         self._sim_clock = SimulatedClock()
-        spec = fetch_spec(self._model, scene, self._scene, self._start, self._robot, kinematics)
+        spec = fetch_spec(
+            self._model, scene, fetch_scene, self._start, self._robot, compiled.kinematics
+        )
         super().__init__(spec, self._sim_clock)
         self._data = mujoco.MjData(self._model)
         self._sensors = Sensors(self._model, self.spec, self._robot.sensors)
@@ -70,18 +67,18 @@ class MujocoDriver(RobotDriver):
         self._measured: RobotState | None = None
 
     def snapshot(self) -> mujoco.MjData:
-        """Return an exact copy of the simulation; `mj_getState` would lose what actions read."""
+        """Return an exact copy of the simulation; `mj_getState` lacks data that commands use."""
         with self._hooks:
             return copy.copy(self._data)
 
     def restore(self, data: mujoco.MjData) -> None:
         """Continue from a snapshot, or from a simulation of the same model elsewhere.
 
-        States read before are no longer answerable, as after a reset; a camera has seen
-        nothing yet, and noise is drawn anew.
+        As after a reset, states read before cannot be answered any more, the camera starts
+        without a measurement, and the noise starts from its seed.
 
         Args:
-            data: Copied, not kept.
+            data: The simulation, which is copied.
 
         Raises:
             LifecycleError: If the driver is not open.
@@ -103,7 +100,7 @@ class MujocoDriver(RobotDriver):
         goal: NDArray[np.float64] | None = None,
         reached: bool = False,
     ) -> NDArray[np.uint8]:
-        """Return a picture of the scene. Without a display MUJOCO_GL must be set.
+        """Return an image of the scene. Without a display MUJOCO_GL must be set.
 
         Args:
             width: Pixels.
@@ -115,23 +112,23 @@ class MujocoDriver(RobotDriver):
             RGB. ``(height, width, 3)``
 
         Raises:
-            CannotRender: If nothing draws here.
+            CannotRender: If this machine cannot render.
         """
         with self._hooks:
             return self._pictures.take(self._data, (width, height), goal, reached)
 
     def show(self, goal: NDArray[np.float64] | None = None, reached: bool = False) -> bool:
-        """Bring MuJoCo's viewer up to date; the first call opens it, `close` closes it.
+        """Update MuJoCo's viewer; the first call opens it, `close` closes it.
 
         Args:
             goal: Marked in red, or in green once it is reached, world frame, m. ``(3,)``
             reached: Whether the goal is reached.
 
         Returns:
-            Whether the window is open still.
+            Whether the window is still open.
 
         Raises:
-            CannotRender: If no window opens here.
+            CannotRender: If no window can be opened.
         """
         with self._hooks:
             return self._pictures.show(self._data, goal, reached)
@@ -192,7 +189,7 @@ class MujocoDriver(RobotDriver):
         self._measure()
 
     def _measure(self) -> None:
-        """Measure once a tick: pictures are taken whether anybody reads or not."""
+        """Measure once per tick, since the camera must also measure in ticks without a read."""
         self._measured = self._sensors.read(
             self._data,
             self._seq,
@@ -205,7 +202,7 @@ class MujocoDriver(RobotDriver):
 
 
 def make_fetch(*, scene: str, **options: object) -> MujocoDriver:
-    """Make a simulated Fetch robot, as the registry of drivers asks for one.
+    """Make a simulated Fetch robot; a `drivers.registry.DriverFactory`.
 
     Args:
         scene: Name of the scene.

@@ -1,4 +1,4 @@
-"""The simulated Fetch robot's description of itself."""
+"""Description of the simulated Fetch robot."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ ARM_JOINTS = tuple(
 
 # Greatest velocity, as fetch_ros declares it (fetch_description/robots/fetch.urdf).
 _VELOCITIES = (0.1, 1.256, 1.454, 1.571, 1.521, 1.571, 2.268, 2.268)
-# What the motors can do, rounded down: the torque limit of fetch.urdf less gravity, over the
-# inertia about the joint at home, but no more than 60 rad/s^2. The accelerations that fetch_ros
-# plans with (fetch_moveit_config/joint_limits.yaml: 1.0 to 2.5 rad/s^2) are a planner's choice:
-# from rest to full speed they take a second, half an episode.
+# Capability of the motors, rounded down: the torque limit of fetch.urdf less gravity, over the
+# inertia about the joint at home, but at most 60 rad/s^2. The limits that fetch_ros plans with
+# (fetch_moveit_config/joint_limits.yaml: 1.0 to 2.5 rad/s^2) are a planner's choice: with them
+# reaching full speed takes a second, half an episode.
 _ACCELERATIONS = (0.5, 11.0, 40.0, 60.0, 60.0, 60.0, 60.0, 60.0)
-# As the real one (Fetch Robotics, data sheet: 1.0 m/s), and the table that stands before it.
+# As the real robot (Fetch Robotics, data sheet: 1.0 m/s).
 _EE_SPEED = 1.0
-# From the height at which the fingers, which end 18.5 mm below the grip site, touch the table.
+# Its lower end is where the fingers, which end 18.5 mm below the grip site, touch the table.
 _WORKSPACE = Box((0.6, 0.2, 0.4185), (1.8, 1.3, 1.2))
-# In mocap actuation nothing is enforced: no episode of the reference gets to these.
+# In mocap actuation no limit may change the reference: no episode of it reaches these.
 _MOCAP_EE_SPEED = 2.2
 _MOCAP_WORKSPACE = Box((-1.0, -1.0, -0.5), (3.0, 2.5, 2.5))
 
@@ -65,13 +65,12 @@ def fetch_spec(
         model: The compiled scene.
         scene_name: Name of the scene.
         scene: Its constants.
-        start: Where an episode starts.
-        robot: What distinguishes it from other Fetch robots.
+        start: Start state of an episode.
+        robot: Parameters of the robot.
         kinematic_model: The arm, as text.
 
     Returns:
-        The description. In mocap actuation its joint limits are not enforced: a mocap body
-        drags the arm along.
+        The description. In mocap actuation its joint limits are not enforced.
     """
     period_s = SUBSTEPS * model.opt.timestep
     mocap = robot.actuation == "mocap"
@@ -103,7 +102,7 @@ def _home_q(model: mujoco.MjModel, start: StartState) -> tuple[float, ...]:
 
 
 def _joint_action(limits: Limits, period_s: float) -> ActionSpec:
-    """What an action of 1 really moves in mocap actuation, and the gripper's greatest speed."""
+    """Scale of an action as in mocap actuation, where 1 moves 33 mm; fingers at full speed."""
     return ActionSpec(
         position_scale_m=0.033, gripper_scale_m=limits.gripper.max_speed_m_s * period_s
     )
@@ -120,8 +119,8 @@ def _gains(robot: FetchRobot) -> dict[str, float]:
 def _camera(robot: FetchRobot, period_s: float) -> ObjectSource:
     sensors = robot.sensors
     between_s = 0.0 if sensors.object_rate_hz is None else 1.0 / sensors.object_rate_hz
-    # Just before the next picture arrives, and as long as any measurement may be used: where the
-    # robot is served in real time, a state is up to a tick old before the next one comes.
+    # The age just before the next measurement arrives, plus the time for which any measurement may
+    # be used: a robot served in real time publishes a state up to a tick after its measurement.
     age_s = between_s + sensors.object_delay_s + _WATCHDOG_TICKS * period_s
     return ObjectSource("simulator", "world", max_age_s=age_s)
 
@@ -154,7 +153,7 @@ def _table(model: mujoco.MjModel) -> Box:
 
 
 def _head(model: mujoco.MjModel) -> Box:
-    """Box around the robot's own head, which a bent arm could hit."""
+    """Return a box around the robot's own head, which a bent arm could hit."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     points = []

@@ -1,4 +1,4 @@
-"""What the simulated robot senses."""
+"""Sensors of the simulated robot."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Array = NDArray[np.float64]
 
 
 class Sensors:
-    """Reads robot states out of a simulation. Indices are looked up once."""
+    """Measures robot states in a simulation, with noise. Indices are looked up once."""
 
     def __init__(
         self, model: mujoco.MjModel, spec: RobotSpec, parameters: SensorParameters
     ) -> None:
-        """Look up what to read.
+        """Look up the indices.
 
         Args:
             model: The compiled scene.
             spec: The robot's description.
-            parameters: How well it is measured.
+            parameters: Noise, rate and delay of the sensors.
         """
         self._model = model
         self._parameters = parameters
@@ -43,10 +43,10 @@ class Sensors:
         self._jacr = np.zeros((3, model.nv))
 
     def begin(self, seed: int) -> None:
-        """Forget what was seen, and draw noise anew.
+        """Drop the camera's measurements, and restart the noise.
 
         Args:
-            seed: Of the noise.
+            seed: Seed of the noise.
         """
         self._rng = np.random.default_rng(seed)
         if self._camera is not None:
@@ -62,19 +62,19 @@ class Sensors:
         applied: AppliedCommand | None,
         setpoint: JointSetpoint | None,
     ) -> RobotState:
-        """Measure everything at once; called once a tick, so that a camera misses none.
+        """Measure the state; called once per tick, so that the camera misses none.
 
         Args:
             data: The simulation.
             seq: Tick counter.
             stamp_ns: Time of the measurement.
-            mode: What the robot is doing.
+            mode: Mode of the robot.
             fault: Name of the latched fault.
             applied: The last command applied.
-            setpoint: What the motors follow.
+            setpoint: Target of the motors.
         """
-        # By the Jacobian and not by mj_objectVelocity, whose last bits differ: the reference
-        # does it this way (gymnasium_robotics/utils/mujoco_utils.py, get_site_xvelp).
+        # By the Jacobian, as in the reference (gymnasium_robotics/utils/mujoco_utils.py,
+        # get_site_xvelp), and not by mj_objectVelocity, whose last bits differ.
         mujoco.mj_jacSite(self._model, data, self._jacp, self._jacr, self._grip)
         ee_linvel, ee_angvel = self._jacp @ data.qvel, self._jacr @ data.qvel
         ee_pos = data.site_xpos[self._grip].copy()

@@ -1,4 +1,4 @@
-"""Pictures of the simulation, and a window on it."""
+"""Rendering of the simulation, to images or in a window."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from drivers.rendering import RENDERERS, CannotRender
 
 
 class Pictures:
-    """Camera and window of one simulation; neither is opened before it is used."""
+    """Renderer and window of one simulation, each opened on first use."""
 
     def __init__(
         self,
         model: mujoco.MjModel,
         launch: Launch = launch_passive,
     ) -> None:
-        """Remember what to show.
+        """Store the model.
 
         Args:
             model: The compiled scene.
@@ -33,19 +33,19 @@ class Pictures:
     def take(
         self, data: mujoco.MjData, size: tuple[int, int], goal: Goal, reached: bool
     ) -> NDArray[np.uint8]:
-        """Render one picture, leaving the simulation untouched to the last bit.
+        """Render an image, leaving the simulation unchanged to the last bit.
 
         Args:
             data: The simulation.
             size: Width and height, pixels.
-            goal: Marked, world frame, m. ``(3,)``
+            goal: Position to mark, world frame, m. ``(3,)``
             reached: Whether the goal is reached.
 
         Returns:
             RGB. ``(height, width, 3)``
 
         Raises:
-            CannotRender: If nothing draws here.
+            CannotRender: If this machine cannot render.
         """
         if self._camera is not None and self._camera.size != size:
             self._camera.close()
@@ -55,25 +55,25 @@ class Pictures:
         return self._camera.take(data, goal, reached)
 
     def show(self, data: mujoco.MjData, goal: Goal, reached: bool) -> bool:
-        """Bring the window up to date, leaving the simulation untouched to the last bit.
+        """Update the window, leaving the simulation unchanged to the last bit.
 
         Args:
             data: The simulation.
-            goal: Marked, world frame, m. ``(3,)``
+            goal: Position to mark, world frame, m. ``(3,)``
             reached: Whether the goal is reached.
 
         Returns:
-            Whether the window is open still.
+            Whether the window is still open.
 
         Raises:
-            CannotRender: If no window opens here.
+            CannotRender: If no window can be opened.
         """
         if self._window is None:
             self._window = Window(self._model, self._launch)
         return self._window.show(data, goal, reached)
 
     def close(self) -> None:
-        """Free the rendering context and close the window."""
+        """Close the renderer and the window."""
         for shown in (self._camera, self._window):
             if shown is not None:
                 shown.close()
@@ -81,7 +81,7 @@ class Pictures:
 
 
 class _Camera:
-    """Stands where gymnasium-robotics' Fetch environments have theirs."""
+    """Renderer with the camera of gymnasium-robotics' Fetch environments."""
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
         width, height = size
@@ -91,10 +91,10 @@ class _Camera:
         self._model = model
         try:
             self._renderer = mujoco.Renderer(model, height, width)
-        # AttributeError: PyOpenGL's own way of saying that a library is not there.
+        # AttributeError is what PyOpenGL raises for a missing library.
         except (AttributeError, ImportError, RuntimeError, mujoco.FatalError) as error:
             raise CannotRender(
-                f"MuJoCo cannot draw here: {in_a_line(error)}; set MUJOCO_GL to {RENDERERS}"
+                f"MuJoCo cannot render here: {in_a_line(error)}; set MUJOCO_GL to {RENDERERS}"
             ) from error
         self._view = mujoco.MjvCamera()
         look(self._view)

@@ -1,4 +1,4 @@
-"""What may be asked of the simulated robot, checked before anything changes."""
+"""Checks of reset requests to the simulated robot, and of simulations to restore."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from drivers.spec import RobotSpec
 
 _NEAREST_M = (0.1, -0.3)
 _FARTHEST_M = (2.3, 1.8)
-"""Where an object may start: tables are larger than reach, but not by more than half a metre."""
+"""Range of an object's start: tables reach at most half a metre beyond the arm."""
 
 _SIZES = tuple(
     "nq nv nu na nbody njnt ngeom nsite nmocap neq ntendon nsensordata nuserdata".split()
 )
-# Scenes differ in what is in them, and robots in the same scene do not.
+# These differ between scenes, but not between robots in the same scene.
 _CONSTANTS = ("qpos0", "body_mass", "geom_size", "geom_friction")
 
 
 def object_places(request: ResetRequest, spec: RobotSpec) -> dict[str, NDArray[np.float64]]:
-    """Return where a request puts the objects, in the spec's frame, m. Each ``(2,)``
+    """Return the requested places of the objects, in the spec's frame, m. Each ``(2,)``
 
     Args:
         request: The request.
         spec: The robot.
 
     Raises:
-        InvalidRequest: If an object can never be there.
+        InvalidRequest: If a place is invalid, or outside of the table.
     """
     return {name: _place(name, place, spec) for name, place in request.objects.items()}
 
@@ -38,7 +38,7 @@ def _place(name: str, asked: object, spec: RobotSpec) -> NDArray[np.float64]:
     try:
         place = np.array(asked, dtype=np.float64)
     except (TypeError, ValueError):
-        place = np.empty(0)  # no numbers at all: the same message
+        place = np.empty(0)  # not numbers: the same message
     if place.shape != (2,) or not _on_a_table(place):
         raise InvalidRequest(
             f"reset of {spec.name} places {name!r} at {asked!r}, allowed: "
@@ -49,15 +49,15 @@ def _place(name: str, asked: object, spec: RobotSpec) -> NDArray[np.float64]:
 
 def _on_a_table(place: NDArray[np.float64]) -> bool:
     inside = (np.array(_NEAREST_M) <= place) & (place <= np.array(_FARTHEST_M))
-    return bool(inside.all())  # not for nan
+    return bool(inside.all())  # False for nan
 
 
 def require_same_model(model: mujoco.MjModel, data: object, name: str) -> None:
-    """Refuse a simulation of another model, whose numbers would mean something else.
+    """Check that a simulation to be restored has the driver's model.
 
     Args:
-        model: The driver's.
-        data: What is to be restored.
+        model: The driver's model.
+        data: The simulation.
         name: Name of the robot, for the message.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What may differ from one simulated Fetch robot to another."""
+"""Parameters of a simulated Fetch robot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import InvalidSpec
-from drivers.names import unknown
+from drivers.validation import describe_problems
 
 Actuation = Literal["joint", "mocap"]
 
@@ -29,9 +29,9 @@ class ArmParameters(_Section):
     joint_damping: float = Field(default=50.0, ge=0, le=1e4)
     """Viscous friction of each arm joint, Nm s/rad."""
     acceleration_scale: float = Field(default=1.0, ge=0.05, le=1)
-    """Share of the accelerations in the robot's description that is allowed."""
+    """Share of the robot's acceleration limits that is allowed."""
     delay_ticks: int = Field(default=0, ge=0, le=10)
-    """Control ticks from a setpoint to the motors' following it."""
+    """Delay of the motors behind the setpoint, control ticks."""
 
 
 class GripperParameters(_Section):
@@ -53,7 +53,7 @@ class ObjectParameters(_Section):
 
 
 class SensorParameters(_Section):
-    """What is measured how well. Noise is normal, independent in each tick and axis."""
+    """Noise, rate and delay of measurements. Noise is normal, independent in each tick and axis."""
 
     joint_noise: float = Field(default=0.0, ge=0, le=0.1)
     """Standard deviation of joint positions, rad and m."""
@@ -64,13 +64,13 @@ class SensorParameters(_Section):
     object_turn_noise: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of the object's orientation about each axis, rad."""
     object_rate_hz: float | None = Field(default=None, ge=1, le=1e3)
-    """Pictures a second of the camera that sees the object; none for one in each tick."""
+    """Measurements per second of the object's pose; None for one in each tick."""
     object_delay_s: float = Field(default=0.0, ge=0, le=1)
-    """Time from a picture to the pose seen in it."""
+    """Time from the measurement of the object's pose to its report."""
 
 
 class FetchRobot(_Section):
-    """One simulated Fetch robot: everything that a file in ``configs/robots`` may say."""
+    """Parameters of one simulated Fetch robot: the settings of a file in ``configs/robots``."""
 
     actuation: Actuation = "joint"
     """Position-controlled joints, or a mocap body that drags the gripper along."""
@@ -84,7 +84,7 @@ def fetch_robot(options: Mapping[str, object]) -> FetchRobot:
     """Read the parameters of a robot.
 
     Args:
-        options: As in a file of ``configs/robots``; what is left out has its default.
+        options: As in a file of ``configs/robots``; missing keys have their defaults.
 
     Raises:
         InvalidSpec: If a key is unknown or a value not allowed.
@@ -92,25 +92,4 @@ def fetch_robot(options: Mapping[str, object]) -> FetchRobot:
     try:
         return FetchRobot.model_validate(options)
     except ValidationError as error:
-        sentences = [
-            _sentence(
-                tuple(map(str, detail["loc"])), detail["type"], detail["msg"], detail["input"]
-            )
-            for detail in error.errors(include_url=False)
-        ]
-        raise InvalidSpec("; ".join(sentences)) from None
-
-
-def _sentence(path: tuple[str, ...], kind: str, reason: str, value: object) -> str:
-    key = ".".join(path)
-    if kind == "extra_forbidden":
-        section = FetchRobot.model_fields[path[0]].annotation if len(path) > 1 else FetchRobot
-        assert isinstance(section, type)
-        assert issubclass(section, BaseModel)
-        return unknown(
-            "robot setting", key, [".".join((*path[:-1], n)) for n in section.model_fields]
-        )
-    if kind == "model_type":
-        keys = ", ".join(type(getattr(FetchRobot(), key)).model_fields)
-        return f"robot setting {key} is {value!r}, allowed: a section with the keys {keys}"
-    return f"robot setting {key} is {value!r}: {reason[0].lower()}{reason[1:]}"
+        raise InvalidSpec(describe_problems(error, FetchRobot, "robot setting")) from None

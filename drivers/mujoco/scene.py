@@ -1,4 +1,4 @@
-"""The scenes of gymnasium-robotics' Fetch environments and how they are set up."""
+"""Scenes of gymnasium-robotics' Fetch environments: models, constants, start states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUBSTEPS = 20
 """Physics steps of one control tick (`envs/fetch/push.py`, ``n_substeps``)."""
 
 POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0])
-"""Orientation of the mocap body, wxyz, not normalised: the reference adds it as it is."""
+"""Orientation of the mocap body, wxyz, not normalised, as the reference uses it."""
 
 _SETTLING_TICKS = 10
 
@@ -29,10 +29,10 @@ class FetchScene:
 
     Attributes:
         file: Model file below ``envs/assets/fetch``.
-        base_x: Where the base stands, slide joint 0, m.
+        base_x: Position of the base along x, slide joint 0, m.
         gripper_height: Extra height of the gripper at home, m.
         locked_fingers: Whether the fingers are kept closed.
-        object_qpos: Where the object starts to settle, position and wxyz; None without one.
+        object_qpos: Pose from which the object settles, position and wxyz; None without one.
     """
 
     file: str
@@ -64,20 +64,22 @@ def find_scene(name: str) -> FetchScene:
 
 
 def assets_folder() -> Path:
-    """Return the folder of the Fetch model files that gymnasium-robotics brings.
+    """Return the folder of the Fetch model files, in gymnasium-robotics.
 
     Raises:
         FileNotFoundError: If gymnasium-robotics is not installed.
     """
-    # Found, not imported: importing it registers two hundred environments and prints notices.
+    # Not by an import, which registers two hundred environments and prints notices.
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None or not found.submodule_search_locations:
-        raise FileNotFoundError("the Fetch model files come with gymnasium-robotics; install it")
+        raise FileNotFoundError(
+            "gymnasium-robotics, which contains the Fetch model files, is not installed; install it"
+        )
     return Path(found.submodule_search_locations[0]) / "envs" / "assets" / "fetch"
 
 
 def mocap_model(scene: FetchScene) -> mujoco.MjModel:
-    """Compile a scene whose robot is dragged by a mocap body, as the reference has it.
+    """Compile a scene whose robot is dragged by a mocap body, as in the reference.
 
     Raises:
         FileNotFoundError: If gymnasium-robotics is not installed.
@@ -88,18 +90,18 @@ def mocap_model(scene: FetchScene) -> mujoco.MjModel:
 
 
 def prepare(model: mujoco.MjModel, parameters: ObjectParameters) -> None:
-    """Set what differs from one scene's object to another's, and take the goal out of sight.
+    """Set mass and friction of the object, and hide the model's mark of the goal.
 
     Args:
         model: The compiled scene, changed in place.
-        parameters: Of the object.
+        parameters: Parameters of the object.
     """
-    model.site("target0").rgba[3] = 0.0  # a goal is drawn by the renderer, where it really is
+    model.site("target0").rgba[3] = 0.0  # the renderer draws the goal at its position
     bodies = [body for body in range(model.nbody) if model.body(body).name in ("object0", "table0")]
     for body in bodies:
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         geoms = slice(first, first + count)
-        # Of two bodies in contact the greater friction counts.
+        # The greater friction of two bodies in contact applies, so both are scaled.
         model.geom_friction[geoms, 0] *= parameters.friction_scale
         if model.body(body).name == "object0":
             model.body_mass[body] *= parameters.mass_scale
@@ -109,14 +111,14 @@ def prepare(model: mujoco.MjModel, parameters: ObjectParameters) -> None:
 
 @dataclass(frozen=True, eq=False)
 class StartState:
-    """What a reset restores.
+    """State of a simulation that a reset restores.
 
     Attributes:
         qpos: ``(nq,)``
         qvel: ``(nv,)``
         time: s.
-        ee_pos: Gripper site as reported at the end of the set-up, m. After a reset it is up
-            to 0.2 mm away: positions lag the joints by one sub-step there. ``(3,)``
+        ee_pos: Gripper site at the end of the set-up, m. After a reset it is up to 0.2 mm away,
+            because here positions lag the joints by one sub-step. ``(3,)``
         ee_quat: Gripper body, wxyz. ``(4,)``
         object_height: Height of the object's site at that moment, None without an object.
     """
@@ -130,15 +132,15 @@ class StartState:
 
 
 def settle(model: mujoco.MjModel, scene: FetchScene, lift_m: float = 0.0) -> StartState:
-    """Bring the gripper home, as `MujocoFetchEnv._env_setup` does.
+    """Move the gripper home, as `MujocoFetchEnv._env_setup` does.
 
     Args:
         model: Compiled by `mocap_model`.
         scene: Its constants.
-        lift_m: How much higher than there.
+        lift_m: Additional height of the gripper.
 
     Returns:
-        Where every episode starts.
+        The start state of every episode.
     """
     data = mujoco.MjData(model)
     base = [model.joint(f"robot0:slide{axis}").qposadr[0] for axis in range(3)]
@@ -157,7 +159,7 @@ def settle(model: mujoco.MjModel, scene: FetchScene, lift_m: float = 0.0) -> Sta
 
 
 def start_of(data: mujoco.MjData, scene: FetchScene) -> StartState:
-    """Return the state of a simulation as the start of every episode."""
+    """Return the state of a simulation as a start state."""
     has_object = scene.object_qpos is not None
     return StartState(
         qpos=data.qpos.copy(),

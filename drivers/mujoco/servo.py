@@ -1,4 +1,4 @@
-"""Motors in the joints of the simulated robot."""
+"""Actuation of the simulated robot by position-controlled motors in its joints."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from drivers.state import JointSetpoint
 Array = NDArray[np.float64]
 
 N_ARM = len(ARM_JOINTS)
-_FARTHEST_GAP = 0.3  # rad, between a joint that is held up by something and its setpoint
+_FARTHEST_GAP = 0.3  # rad, between a joint that is blocked and its setpoint
 _WIDTH = 2 * N_ARM + len(FINGERS)
 
 
 def memory_size(delay_ticks: int) -> int:
-    """Return how many numbers of ``MjData.userdata`` the setpoints take.
+    """Return the size of the setpoints in ``MjData.userdata``, in numbers.
 
     Args:
-        delay_ticks: Control ticks from a setpoint to the motors' following it.
+        delay_ticks: Delay of the motors behind the setpoint, control ticks.
     """
     return (delay_ticks + 2) * _WIDTH
 
@@ -32,25 +32,25 @@ def memory_size(delay_ticks: int) -> int:
 class JointActuation:
     """Position-controlled joints that follow setpoints with constant acceleration in a tick.
 
-    The setpoints of the last ticks are kept in ``MjData.userdata``, so that a copy of the
-    simulation is exact. With a delay the motors follow those of some ticks ago.
+    The setpoints of the last ticks are stored in ``MjData.userdata``, so that a copy of the
+    simulation is exact. With a delay the motors follow an earlier setpoint.
     """
 
     def __init__(
         self, model: mujoco.MjModel, brake: Callable[[JointSetpoint], JointSetpoint]
     ) -> None:
-        """Look the motors up.
+        """Look up the motors.
 
         Args:
             model: Compiled by `arm_model`.
-            brake: Returns the end of a tick without a command.
+            brake: Returns the setpoint at the end of a tick without a command.
         """
         self._model = model
         self._brake = brake
         names = (*ARM_JOINTS, *FINGERS)
         self._motors = [model.actuator(name).id for name in names]
         self._qpos = np.array([model.joint(name).qposadr[0] for name in names], dtype=np.intp)
-        # Feed-forward of velocity: damping acts on the difference to the setpoint's velocity.
+        # Velocity feed-forward: damping acts on the difference to the setpoint's velocity.
         dofs = np.array([model.joint(name).dofadr[0] for name in names], dtype=np.intp)
         self._kp = model.actuator_gainprm[self._motors, 0]
         damping = model.dof_damping[dofs] - model.actuator_biasprm[self._motors, 2]
@@ -60,17 +60,17 @@ class JointActuation:
         self._substep_s = float(model.opt.timestep)
 
     def begin(self, data: mujoco.MjData) -> None:
-        """Hold what was just set up."""
+        """Hold the robot in a simulation that was just reset."""
         row = np.zeros(_WIDTH)
         row[:N_ARM] = data.qpos[self._qpos[:N_ARM]]
         row[2 * N_ARM :] = data.qpos[self._qpos[N_ARM:]]
         self._memory(data)[:] = row
 
     def resume(self, data: mujoco.MjData) -> None:
-        """Go on with a simulation that was restored: its setpoints are in it, if it has any."""
+        """Continue with a restored simulation, from its setpoints if it has valid ones."""
         memory = self._memory(data)
         gap = np.abs(memory[0, :N_ARM] - data.qpos[self._qpos[:N_ARM]]).max()
-        if not gap < _FARTHEST_GAP:  # not a snapshot of ours, or a changed one: hold where it is
+        if not gap < _FARTHEST_GAP:  # not a snapshot of this driver, or changed: hold in place
             self.begin(data)
 
     def tick(self, data: mujoco.MjData, command: Command | None) -> None:
@@ -86,7 +86,7 @@ class JointActuation:
         self._follow(data, *memory[:2])
 
     def setpoint(self, data: mujoco.MjData) -> JointSetpoint:
-        """Return the newest setpoint, which with a delay the motors have yet to follow."""
+        """Return the newest setpoint, which delayed motors follow later."""
         return _setpoint(self._memory(data)[-1])
 
     def _follow(self, data: mujoco.MjData, start: Array, end: Array) -> None:
@@ -103,10 +103,10 @@ class JointActuation:
         for control in controls:
             data.ctrl[self._motors] = control
             mujoco.mj_step(self._model, data)
-        mujoco.mj_forward(self._model, data)  # sites and velocities up to date with the joints
+        mujoco.mj_forward(self._model, data)  # update sites and velocities to the joints
 
     def _inertia(self, data: mujoco.MjData, acceleration: Array) -> Array:
-        """Feed-forward of acceleration: the torques, Nm and N, that the arm's inertia needs."""
+        """Return the acceleration feed-forward: torques and forces for the arm's inertia, Nm, N."""
         self._qacc[self._arm_dofs] = acceleration
         mujoco.mj_mulM(self._model, data, self._torque, self._qacc)
         return self._torque[self._arm_dofs]

@@ -1,4 +1,4 @@
-"""What every view of the simulation shows: where one stands, the goal, positions up to date."""
+"""Elements of every view of the simulation: camera, goal mark, updated positions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _GOAL_RADIUS_M = 0.02
-_GLOW = 0.5  # in the shadow of the gripper both colours would be black
+_GLOW = 0.5  # otherwise both colours are black in the shadow of the gripper
 _RED = np.array([1.0, 0.0, 0.0, 1.0], dtype=np.float32)
 _GREEN = np.array([0.0, 0.75, 0.2, 1.0], dtype=np.float32)
 
@@ -17,10 +17,10 @@ Goal = NDArray[np.float64] | None
 
 
 def mark_goal(scene: mujoco.MjvScene, goal: Goal, reached: bool) -> None:
-    """Append a ball to a scene where the goal is, red until it is reached, then green.
+    """Append a ball to a scene at the goal, red until it is reached, then green.
 
     Args:
-        scene: Takes no mark if it is full.
+        scene: The scene; unchanged if it is full.
         goal: World frame, m; None marks nothing. ``(3,)``
         reached: Whether the goal is reached.
     """
@@ -40,7 +40,7 @@ def mark_goal(scene: mujoco.MjvScene, goal: Goal, reached: bool) -> None:
 
 
 def look(camera: mujoco.MjvCamera) -> None:
-    """Stand where gymnasium-robotics' Fetch environments have their camera."""
+    """Place a camera as in gymnasium-robotics' Fetch environments."""
     camera.distance = 2.5
     camera.azimuth = 132.0
     camera.elevation = -14.0
@@ -48,12 +48,12 @@ def look(camera: mujoco.MjvCamera) -> None:
 
 
 def settled(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Copy a simulation, with positions that lag its joints by a sub-step brought up to date."""
+    """Copy a simulation and update its positions, which may lag the joints by a sub-step."""
     copied = copy.copy(data)
     mujoco.mj_forward(model, copied)
     return copied
 
 
 def in_a_line(error: BaseException) -> str:
-    """Return what an error says, without line breaks."""
+    """Return the message of an error without line breaks."""
     return " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""A window on the simulation: MuJoCo's interactive viewer."""
+"""Window that shows the simulation: MuJoCo's interactive viewer."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from drivers.rendering import CannotRender
 
 
 class Handle(Protocol):
-    """What is used of `mujoco.viewer.Handle`."""
+    """The part of `mujoco.viewer.Handle` that is used here."""
 
     user_scn: mujoco.MjvScene
     cam: mujoco.MjvCamera
 
     def lock(self) -> AbstractContextManager[object]:
-        """Keep the window from drawing meanwhile."""
+        """Return a context in which the window does not draw."""
         ...
 
     def sync(self) -> None:
-        """Draw what has changed."""
+        """Draw the changes."""
         ...
 
     def is_running(self) -> bool:
@@ -42,16 +42,16 @@ def launch_passive(model: mujoco.MjModel, data: mujoco.MjData) -> Handle:
     """Open MuJoCo's interactive viewer without its panels.
 
     Raises:
-        CannotRender: If no window opens here.
+        CannotRender: If no window can be opened.
     """
     try:
         import glfw
-        from mujoco import viewer  # only here: it loads a window system
+        from mujoco import viewer  # not at the top: it loads a window system
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if not glfw.init():  # the viewer would end the whole process
-                raise CannotRender("the display that DISPLAY names does not answer; set it right")
+            if not glfw.init():  # otherwise the viewer ends the process
+                raise CannotRender("the display named by DISPLAY does not answer; correct DISPLAY")
         handle: Handle = viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     except (ImportError, RuntimeError, mujoco.FatalError) as error:
         raise CannotRender(f"MuJoCo's viewer opens no window here: {in_a_line(error)}") from error
@@ -64,7 +64,7 @@ Launch = Callable[[mujoco.MjModel, mujoco.MjData], Handle]
 
 
 class Window:
-    """Shows a copy of model and state: nothing that a person does there reaches the simulation."""
+    """Shows a copy of model and state, so that user input in the window changes no simulation."""
 
     def __init__(self, model: mujoco.MjModel, launch: Launch = launch_passive) -> None:
         """Open the window.
@@ -74,7 +74,7 @@ class Window:
             launch: Opens MuJoCo's viewer.
 
         Raises:
-            CannotRender: If no window opens here.
+            CannotRender: If no window can be opened.
         """
         self._model = copy.copy(model)
         self._shown = mujoco.MjData(self._model)
@@ -85,15 +85,15 @@ class Window:
             look(self._handle.cam)
 
     def show(self, data: mujoco.MjData, goal: Goal, reached: bool) -> bool:
-        """Bring the window up to date, leaving the simulation untouched to the last bit.
+        """Update the window, leaving the simulation unchanged to the last bit.
 
         Args:
             data: The simulation.
-            goal: Marked, world frame, m. ``(3,)``
+            goal: Position to mark, world frame, m. ``(3,)``
             reached: Whether the goal is reached.
 
         Returns:
-            Whether the window is open still.
+            Whether the window is still open.
         """
         if not self._handle.is_running():
             return False
@@ -105,10 +105,9 @@ class Window:
         return self._handle.is_running()
 
     def close(self) -> None:
-        """Close the window, and wait until it is gone.
+        """Close the window, and wait for the end of its thread.
 
-        The viewer draws in a thread of its own. A program that ended while it cleans up would
-        end with a segmentation fault.
+        A program that ends while the viewer's thread cleans up ends with a segmentation fault.
         """
         self._handle.close()
         for thread in self._threads:

@@ -1,4 +1,4 @@
-"""A robot behind a host of its own, reached over Zenoh."""
+"""Driver of a remote robot, whose host is reached over Zenoh."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ __all__ = ["LinkOptions", "LinkQuality", "ZenohDriver", "link_options", "make_re
 
 
 def make_remote(*, scene: str, **options: object) -> ZenohDriver:
-    """Make the driver of a remote robot, as the registry of drivers asks for one.
+    """Make the driver of a remote robot; a `drivers.registry.DriverFactory`.
 
     Args:
         scene: The scene that the task needs.
-        options: Those of `LinkOptions`.
+        options: Fields of `LinkOptions`.
 
     Raises:
         InvalidSpec: If an option is unknown or its value not allowed.

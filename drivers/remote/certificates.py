@@ -1,4 +1,4 @@
-"""Certificates of a link with mutual TLS."""
+"""Checks of the certificates of a link with mutual TLS."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class TlsFiles(BaseModel):
 
 
 def check_certificates(files: TlsFiles) -> None:
-    """Check what Zenoh would otherwise answer with silence.
+    """Check certificates before Zenoh uses them: Zenoh gives no reason when it cannot connect.
 
     Args:
-        files: Of one side of a link.
+        files: Files of one side of a link.
 
     Raises:
-        InvalidSpec: A file is missing or no PEM, a certificate has expired or is not yet valid, or
-            the key belongs to another one.
+        InvalidSpec: A file is missing or not PEM, a certificate has expired or is not yet valid,
+            or the key belongs to another certificate.
     """
     _certificate("tls.ca", files.ca)
     certificate = _certificate("tls.certificate", files.certificate)
@@ -50,7 +50,7 @@ def check_certificates(files: TlsFiles) -> None:
     if key.public_key() != certificate.public_key():
         raise InvalidSpec(
             f"tls.key {str(files.key)!r} is not the key of tls.certificate "
-            f"{str(files.certificate)!r}; give the two that were made together"
+            f"{str(files.certificate)!r}; give a certificate and a key that belong together"
         )
 
 
@@ -64,7 +64,7 @@ def _certificate(name: str, path: Path) -> x509.Certificate:
     now = datetime.now(UTC)
     if not begin <= now <= end:
         raise InvalidSpec(
-            f"{name} {str(path)!r} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and it is "
+            f"{name} {str(path)!r} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, today is "
             f"{now:%Y-%m-%d}; set the clock, or {_HINT}"
         )
     return certificate

@@ -1,4 +1,4 @@
-"""A session with a robot's host: requests, commands, and the newest state."""
+"""Client session with a robot's host: requests, commands, and the stream of states."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivers.wire import Message, WireError, pack, unpack
 log = logging.getLogger(__name__)
 
 _LONGEST_REASON = 4000
-_AGAIN_S = 0.1
+_RETRY_PERIOD_S = 0.1
 """Pause between two attempts to stop a robot that did not acknowledge."""
 
 _ERRORS: dict[str, type[DriverError]] = {
@@ -35,13 +35,13 @@ _ERRORS: dict[str, type[DriverError]] = {
 
 
 class RobotClient(Closing):
-    """One session with the host of one robot. Every method may be called from any thread.
+    """Session with the host of one robot. Thread-safe.
 
     Args:
-        options: Where the robot is, and who asks.
+        options: Address of the robot, and credentials.
 
     Raises:
-        LinkLost: Nobody answers there.
+        LinkLost: No host answers.
     """
 
     def __init__(self, options: LinkOptions) -> None:
@@ -49,17 +49,17 @@ class RobotClient(Closing):
         self._session = open_session(options)
         self._commands = real_time_publisher(self._session, self._key("cmd"))
         self._stops = real_time_publisher(self._session, self._key("stop"))
-        # A thread that waits for Zenoh while the interpreter ends would take the process with it.
+        # A thread that waits for Zenoh while the interpreter shuts down crashes the process.
         atexit.register(self.close)
         self._states: zenoh.Subscriber[Any] | None = None
         self._listener: threading.Thread | None = None
         self._alive: zenoh.LivelinessToken | None = None
 
     def listen(self, on_state: Callable[[bytes, int], None]) -> None:
-        """Hand over every state, from a thread of its own; of several that wait only the newest.
+        """Receive states in a separate thread. Of several that wait only the newest is kept.
 
         Args:
-            on_state: Takes a message and when it was received, on this machine's clock.
+            on_state: Called with a packed state and its time of receipt on this machine's clock.
         """
         self._states = self._session.declare_subscriber(
             self._key("state"), zenoh.handlers.RingChannel(1)
@@ -70,30 +70,27 @@ class RobotClient(Closing):
         self._listener.start()
 
     def announce(self, session: str) -> None:
-        """Show others that this client lives. It is no deadman: a frozen one lives on."""
+        """Declare a liveliness token. It is no deadman: a frozen client keeps it."""
         self._alive = self._session.liveliness().declare_token(self._key("alive", session))
 
     def send(self, command: bytes) -> None:
-        """Publish a command; it is dropped where the link is congested."""
+        """Publish a command; it is dropped when the link is congested."""
         try:
             self._commands.put(command)
         except zenoh.ZError as error:
             raise LinkLost(f"a command cannot be sent to {self._robot}: {error}") from error
 
     def request(self, name: str, message: Message, timeout_s: float | None = None) -> Reply:
-        """Ask the host.
+        """Send a request to the host, and wait for the reply.
 
         Args:
-            name: What for, as in `drivers.remote.keys.REQUESTS`.
-            message: The content.
-            timeout_s: Longest time to wait; that of the options where None.
-
-        Returns:
-            The answer.
+            name: Name of the request, one of `drivers.remote.keys.REQUESTS`.
+            message: The request.
+            timeout_s: Longest time to wait; that of the options by default.
 
         Raises:
-            LinkLost: No answer in time, or none of this protocol.
-            DriverError: What the host says went wrong, of the type that it names.
+            LinkLost: No reply in time, or one of another protocol.
+            DriverError: The error that the host reports, of the type that it names.
         """
         limit_s = self.options.timeout_s if timeout_s is None else timeout_s
         key, begun = self._key("rpc", name), time.monotonic()
@@ -108,7 +105,7 @@ class RobotClient(Closing):
             )
             answer = next((reply.ok for reply in replies if reply.ok is not None), None)
         except zenoh.ZError as error:
-            raise LinkLost(f"{self._robot} cannot be asked for {name}: {error}") from error
+            raise LinkLost(f"request {name} to {self._robot} failed: {error}") from error
         if answer is None:
             waited_s = time.monotonic() - begun
             if waited_s < limit_s:
@@ -117,7 +114,7 @@ class RobotClient(Closing):
                     "to these credentials"
                 )
             raise LinkLost(
-                f"{self._robot} does not answer {name} within {limit_s:g} s; see that its host "
+                f"{self._robot} does not answer {name} within {limit_s:g} s; check that its host "
                 "runs, and measure the link with: iher-robot doctor"
             )
         try:
@@ -129,20 +126,20 @@ class RobotClient(Closing):
         return reply
 
     def stop(self, fault: str, reason: str, patience_s: float) -> Reply:
-        """Stop and latch, on both paths, again and again until the host acknowledges.
+        """Stop and latch, as message and as request, repeatedly until the host acknowledges.
 
         Args:
-            fault: Name under which it latches.
-            reason: What happened, in words.
+            fault: Name of the fault.
+            reason: What happened, for people.
             patience_s: How long to try.
 
         Returns:
             The acknowledgement.
 
         Raises:
-            LinkLost: None came. The robot may be moving.
+            LinkLost: The host did not acknowledge. The robot may be moving.
         """
-        if not re.fullmatch(FAULT_NAME, fault):  # whatever its name, the robot must stop
+        if not re.fullmatch(FAULT_NAME, fault):  # the robot must stop, even under a bad name
             fault, reason = "emergency_stop", f"{fault!r}: {reason}"
         message = StopRequest(fault=fault, reason=reason[:_LONGEST_REASON])
         deadline = time.monotonic() + patience_s
@@ -156,10 +153,10 @@ class RobotClient(Closing):
                         f"NOT CONFIRMED: {self._robot} did not acknowledge the stop within "
                         f"{patience_s:g} s; use the robot's own emergency stop"
                     ) from error
-                time.sleep(_AGAIN_S)
+                time.sleep(_RETRY_PERIOD_S)
 
     def close(self) -> None:
-        """End the session; twice does nothing."""
+        """End the session. Idempotent."""
         atexit.unregister(self.close)
         self._session.close()
         if self._listener is not None and self._listener is not threading.current_thread():

@@ -1,4 +1,4 @@
-"""A robot behind a host of its own, reached over Zenoh."""
+"""Driver of a remote robot, whose host is reached over Zenoh."""
 
 from __future__ import annotations
 
@@ -38,17 +38,18 @@ from drivers.remote.state_message import HostInfo
 from drivers.safety import SafetyFilter
 from drivers.spec import RobotSpec
 from drivers.state import RobotState
+from drivers.validation import describe_first_problem
 from drivers.wire import VERSION, pack
 
 log = logging.getLogger(__name__)
 
 _LOST_AFTER_TICKS = 3
-"""Ticks after which a command that no state mentions is taken for lost."""
+"""Ticks after which a command that no state acknowledges counts as lost."""
 _SPEC = TypeAdapter(RobotSpec)
 
 
 class _RemoteSafety(SafetyFilter):
-    """Refuses what is wrong; the robot's side, which trusts nobody, cuts what is too much."""
+    """Checks commands, but does not limit them: the host, which trusts no client, does."""
 
     def limit(
         self,
@@ -56,19 +57,19 @@ class _RemoteSafety(SafetyFilter):
         state: RobotState,  # noqa: ARG002
         speed_scale: float,  # noqa: ARG002
     ) -> tuple[Command, tuple[str, ...]]:
-        """Return the command as it is."""
+        """Return the command unchanged."""
         return command, ()
 
 
 class ZenohDriver(RobotDriver):
-    """A robot whose host (``iher-robot serve``) has the safety filter, the deadman and the time.
+    """A robot whose host (``iher-robot serve``) has the safety filter, the deadman and the clock.
 
-    `command` keeps the command; `advance` sends it and waits for the end of the tick in which
-    the host dealt with it, so that what is dropped before never reaches the robot. While the
-    gate is open every tick sends something: a client that falls silent is disarmed by the host.
+    `command` stores the command; `advance` sends it and waits for the end of the tick in which
+    the host processed it, so that a command dropped in between never reaches the robot. While the
+    gate is open every tick sends a message: the host disarms a silent client.
 
-    The link may be lost in any call, which then raises `LinkLost`; but `disarm`, `stop` and
-    `close` never do: they log that the host did not confirm, whose deadman holds the robot.
+    Any call raises `LinkLost` if the link is lost, except `disarm`, `stop` and `close`: they log
+    that the host did not confirm. Its deadman then holds the robot.
     """
 
     exclusive = True
@@ -76,16 +77,16 @@ class ZenohDriver(RobotDriver):
     def __init__(
         self, options: LinkOptions, scene: str | None = None, clock: Clock | None = None
     ) -> None:
-        """Ask the host for the robot's description, and leave.
+        """Request the robot's description from its host; the connection is closed again.
 
         Args:
-            options: Where the robot is, and who asks.
-            scene: The scene that the task needs; None for the one in force.
-            clock: This machine's clock; monotonic.
+            options: Address of the robot, and credentials.
+            scene: The scene that the task needs; None for the current one.
+            clock: This machine's monotonic clock.
 
         Raises:
-            LinkLost: Nobody answers there.
-            DriverError: The host does not serve such a scene.
+            LinkLost: No host answers.
+            DriverError: The host does not serve the scene.
         """
         spec, local = _ask_spec(options, scene), MonotonicClock() if clock is None else clock
         super().__init__(spec, local, _RemoteSafety(spec, local))
@@ -102,14 +103,14 @@ class ZenohDriver(RobotDriver):
 
     @property
     def refusals(self) -> Mapping[Refusal, int]:
-        """Commands refused here, and by the host since this driver opened first, by reason."""
+        """Commands refused here, and by the host since this driver was first opened, by reason."""
         here, there = super().refusals, self._since_open(0)
         counted = {reason: here.get(reason, 0) + there[reason] for reason in Refusal}
         return {reason: count for reason, count in counted.items() if count}
 
     @property
     def clips(self) -> Mapping[str, int]:
-        """Commands that the host cut since this driver opened first, by reason."""
+        """Commands that the host cut since this driver was first opened, by reason."""
         return dict(self._since_open(1))
 
     @property
@@ -122,16 +123,16 @@ class ZenohDriver(RobotDriver):
         """Measure round trips to the host.
 
         Args:
-            count: How many.
+            count: Number of round trips.
 
         Raises:
-            LinkLost: The host does not answer at all.
+            LinkLost: The host answers none of them.
         """
         with self._connected() as client:
             return measure_link(client, count)
 
     def clear_fault(self, name: str) -> None:
-        """Unlatch a fault on the robot's side: an operator's act. It never arms.
+        """Unlatch a fault on the robot's side, on behalf of an operator. Never arms.
 
         Args:
             name: Name of the latched fault.
@@ -146,10 +147,10 @@ class ZenohDriver(RobotDriver):
         self._unlatch()
 
     def confirm_hands_clear(self) -> None:
-        """Confirm that nobody is in reach; the host knows whether a human was asked for.
+        """Confirm that no person is in reach; the host knows whether a reset needed a human.
 
         Raises:
-            LifecycleError: If no human was asked for, by this client or an earlier one.
+            LifecycleError: If no reset needed a human, of this client or an earlier one.
         """
         with self._hooks:
             known, self._hands_clear = self._hands_clear, False
@@ -179,7 +180,7 @@ class ZenohDriver(RobotDriver):
             return
         if self._confirmed_stop is None:
             self._confirm_stop(client, fault)
-        else:  # the host knew of it, and an operator has cleared it since
+        else:  # the host had the fault, and an operator has cleared it since
             self._confirmed_stop = None
             self._unlatch()
 
@@ -199,7 +200,7 @@ class ZenohDriver(RobotDriver):
         try:
             reply = client.request("disarm", self._leased())
         except LeaseRefused:
-            return  # whoever lost the lease is disarmed by that
+            return  # the end of the lease has disarmed the robot
         except DriverError as error:
             log.warning("NOT CONFIRMED that %s is disarmed: %s", self.spec.name, error)
             return
@@ -217,7 +218,7 @@ class ZenohDriver(RobotDriver):
                 except LinkLost:
                     if self._client is client:
                         raise
-                    with RobotClient(self.options) as short:  # it was closed meanwhile
+                    with RobotClient(self.options) as short:  # this session was closed meanwhile
                         self._confirm_stop(short, fault)
         except DriverError as error:
             log.error("%s", error)
@@ -230,8 +231,8 @@ class ZenohDriver(RobotDriver):
         missing = self.spec.objects.keys() - state.objects.keys()
         if missing:
             raise StaleState(
-                f"nobody has seen {', '.join(sorted(missing))} of {self.spec.name} yet; start what "
-                "publishes it"
+                f"no pose of {', '.join(sorted(missing))} of {self.spec.name} was received yet; "
+                "start its publisher"
             )
         return state
 
@@ -274,7 +275,7 @@ class ZenohDriver(RobotDriver):
             boot=self._lease.boot, token=self._lease.token, speed=self._speed_limit
         )
         reply = client.request("arm", message)
-        # From a state just received there is a whole tick left to answer it.
+        # A state just received leaves a whole tick for an answer.
         self._wait(lambda state, info: state.seq > reply.seq and info.armed, "an armed state")
         self._armed_at = reply.seq
 
@@ -284,11 +285,11 @@ class ZenohDriver(RobotDriver):
     # The link
 
     def _on_arrival(self, state: RobotState, info: HostInfo) -> None:
-        """Let the gate here follow the robot's. Called from the thread that receives."""
+        """Update the local gate from a state. Called from the receiving thread."""
         if self._client is None:
             return
         if info.boot != self._lease.boot:
-            self._lose(LinkLost(f"the host of {self.spec.name} was started anew; open it again"))
+            self._lose(LinkLost(f"the host of {self.spec.name} was restarted; open it again"))
         elif info.token != self._lease.token and state.seq > self._lease.seq:
             self._lose(LeaseRefused(f"the lease of {self.spec.name} has ended; open it again"))
         if info.fault is not None:
@@ -303,7 +304,7 @@ class ZenohDriver(RobotDriver):
     def _unlatch(self) -> None:
         fault = self.fault
         if fault is not None:
-            with suppress(LifecycleError):  # another thread was first
+            with suppress(LifecycleError):  # another thread cleared it first
                 self._gate.clear(fault.name)
 
     def _lose(self, error: DriverError) -> None:
@@ -316,7 +317,7 @@ class ZenohDriver(RobotDriver):
 
     @contextmanager
     def _connected(self) -> Iterator[RobotClient]:
-        """Give the session of this driver, or a short one while it is closed."""
+        """Yield the session of this driver, or a temporary one while it is closed."""
         client = self._client
         if client is not None:
             yield client
@@ -325,7 +326,7 @@ class ZenohDriver(RobotDriver):
             yield short
 
     def _wait(self, wanted: Callable[[RobotState, HostInfo], bool], what: str) -> Received:
-        """Wait for a state, up to the link's time-out; a stop from another thread ends it."""
+        """Wait for a state, up to the link's timeout; a stop from another thread ends the wait."""
         limit_s, begun = self.options.timeout_s, time.monotonic()
         self._newest.wait(
             lambda state, info: self._lost is not None or wanted(state, info), limit_s
@@ -337,7 +338,7 @@ class ZenohDriver(RobotDriver):
             self._gate.disarm()
             raise LinkLost(
                 f"{self.spec.name} did not send {what} within {limit_s:g} s, and its host holds "
-                "it; see that the host runs, and measure the link with: iher-robot doctor"
+                "it; check that the host runs, and measure the link with: iher-robot doctor"
             )
         return newest
 
@@ -369,22 +370,24 @@ def _ask_spec(options: LinkOptions, scene: str | None) -> RobotSpec:
 
 
 def read_spec(content: Mapping[str, object]) -> RobotSpec:
-    """Read a robot's description as its host sent it.
+    """Decode a robot's description from its host.
 
     Args:
-        content: What `RobotSpec.to_dict` returned there.
+        content: Result of `RobotSpec.to_dict` at the host.
 
     Raises:
-        LinkLost: It is none, or means something else here than there.
+        LinkLost: It is invalid, or its digests differ from those of the host.
     """
     try:
         spec = _SPEC.validate_python(content)
     except ValidationError as error:
-        raise LinkLost(f"the host sends no description of a robot: {error}") from error
+        raise LinkLost(
+            f"the host sends no description of a robot: {describe_first_problem(error)}"
+        ) from error
     for name in ("interface_digest", "body_digest"):
         if getattr(spec, name) != content.get(name):
             raise LinkLost(
-                f"the description of {spec.name} has another {name} here than at its host; use the "
-                "same version of iher-robot on both sides"
+                f"{name} of {spec.name} differs from that of its host; use the same version of "
+                "iher-robot on both sides"
             )
     return spec

@@ -1,4 +1,4 @@
-"""Names of what a robot's host publishes, listens to and answers; see ``docs/protocol.md``."""
+"""Zenoh keys of a robot's host, and names of its requests; see ``docs/protocol.md``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REQUESTS = (
     "hands_clear",
     "clear_fault",
 )
-"""What a host answers under ``rpc/``."""
+"""Requests that a host answers, under ``rpc/``."""
 
 
 def robot_key(robot: str, *parts: str) -> str:
@@ -28,14 +28,14 @@ def robot_key(robot: str, *parts: str) -> str:
 
     Args:
         robot: Name of the robot.
-        parts: What comes after it.
+        parts: Parts of the key after the name.
 
     Raises:
-        InvalidSpec: If it is no name of a robot.
+        InvalidSpec: If the name is not allowed.
     """
     if not re.fullmatch(ROBOT_NAME, robot):
         raise InvalidSpec(
-            f"robot name is {robot!r}, allowed: up to 64 small letters, digits, - and _, the "
-            "first no sign"
+            f"robot name is {robot!r}, allowed: up to 64 lowercase letters, digits, - and _, "
+            "starting with a letter or digit"
         )
     return "/".join(("iher/v1", robot, *parts))

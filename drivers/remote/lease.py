@@ -1,4 +1,4 @@
-"""The right to command a remote robot: asked for, kept while the client lives, given back."""
+"""The client's side of a lease, the right to command a remote robot: acquire, renew, release."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from drivers.remote.client import RobotClient
 from drivers.remote.messages import LeaseRequest
 
 _RENEWALS = 4
-"""Renewals in the time for which a lease is given."""
-_AGAIN_S = 0.2
-_RELEASE_S = 0.3
+"""Renewals in the time after which an unrenewed lease ends."""
+_RETRY_PERIOD_S = 0.2
+_RELEASE_TIMEOUT_S = 0.3
 
 
 class ClientLease:
-    """The lease of one client. A thread of its own renews it.
+    """The lease of one client. A separate thread renews it.
 
     Attributes:
-        token: Under which the host takes commands, 0 without a lease.
-        boot: Which start of the host gave it.
-        session: Stands for this client; it may take over what is its own.
-        seq: The robot's tick counter when it was given; states up to there say nothing of it.
+        token: Token that commands must carry, 0 without a lease.
+        boot: Identifies the start of the host that granted it.
+        session: Identifies this client, which may acquire its own lease again.
+        seq: The robot's tick counter when it was granted; earlier states do not show it.
     """
 
     def __init__(self, scene: str | None) -> None:
-        """Prepare to ask.
+        """Start without a lease.
 
         Args:
-            scene: The scene that the task needs; None for the one in force.
+            scene: The scene that the task needs; None for the current one.
         """
         self.token = 0
         self.boot = ""
@@ -45,14 +45,14 @@ class ClientLease:
         self._renewing: threading.Thread | None = None
 
     def acquire(self, client: RobotClient, patience_s: float) -> None:
-        """Ask for it, again and again while somebody else has it.
+        """Acquire the lease; retry while another client has it.
 
         Args:
             client: Session with the host.
-            patience_s: How long to try: the lease of a client that died ends by itself.
+            patience_s: How long to try; the lease of a client that died expires.
 
         Raises:
-            LeaseRefused: Somebody else keeps it.
+            LeaseRefused: Another client keeps it.
             LinkLost: The host does not answer.
         """
         deadline = time.monotonic() + patience_s
@@ -63,7 +63,7 @@ class ClientLease:
             except LeaseRefused:
                 if time.monotonic() >= deadline:
                     raise
-                time.sleep(_AGAIN_S)
+                time.sleep(_RETRY_PERIOD_S)
         self._client = client
         self._ended = threading.Event()
         self._renewing = threading.Thread(
@@ -72,15 +72,15 @@ class ClientLease:
         self._renewing.start()
 
     def release(self) -> None:
-        """Give it back, if the host still hears."""
+        """Release the lease; without an answer of the host it expires."""
         client, self._client = self._client, None
         self._ended.set()
         if client is None or not self.token:
             return
         try:
-            client.request("lease", self._message("release"), _RELEASE_S)
+            client.request("lease", self._message("release"), _RELEASE_TIMEOUT_S)
         except DriverError:
-            pass  # it ends by itself
+            pass  # it expires
         finally:
             self.token = 0
 
@@ -95,9 +95,9 @@ class ClientLease:
             try:
                 client.request("lease", self._message("renew"), ttl_s / _RENEWALS)
             except LeaseRefused:
-                return  # the next state says so, or the next request
+                return  # the next state or request reports it
             except DriverError:
-                continue  # no answer, or one of a request that was damaged on its way
+                continue  # no reply, or the request was damaged in transit
 
     def _message(self, op: str) -> LeaseRequest:
         return LeaseRequest.model_validate(

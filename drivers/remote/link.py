@@ -1,4 +1,4 @@
-"""How a client reaches a robot's host."""
+"""The link from a client to a robot's host: options, credentials, Zenoh session."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ import zenoh
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import InvalidSpec, LinkLost
-from drivers.names import unknown
 from drivers.remote.certificates import TlsFiles, check_certificates
 from drivers.remote.keys import ROBOT_NAME
+from drivers.validation import describe_problems
 from drivers.wire import MAX_BYTES
 
 log = logging.getLogger(__name__)
 
 _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):(\d{1,5})")
 
-# Peers without scouting: unlike a router or a client's first hop, such a host passes nothing on
-# from one client to another, and clients never look for each other.
+# Peers without scouting: unlike a router, such a host forwards nothing between its clients, and
+# clients do not discover each other.
 POINT_TO_POINT: Mapping[str, object] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/protocols": ["tcp", "tls"],
     "transport/link/tx/lease": 1000,
-    # A request waits for room, but not for long: then the link is given up.
+    # A request waits for space in the queue; after this time, in microseconds, the link is closed.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
     "transport/link/rx/max_message_size": 2 * MAX_BYTES,
     "transport/shared_memory/enabled": False,
 }
-"""Settings of Zenoh that host and clients share."""
+"""Zenoh settings that host and clients share."""
 
 
 def check_endpoint(endpoint: str) -> str:
-    """Return a Zenoh endpoint if it is one that a robot can be served on.
+    """Return a Zenoh endpoint if a robot can be served on it.
 
     Raises:
-        ValueError: If it is not.
+        ValueError: If it is malformed, or neither tcp nor tls.
     """
     match = _ENDPOINT.fullmatch(endpoint)
     if match is None or not 1 <= int(match[3]) <= 65535:
@@ -53,7 +53,7 @@ def check_endpoint(endpoint: str) -> str:
 
 
 def _some(endpoints: tuple[str, ...]) -> tuple[str, ...]:
-    # No bound of the field: of a wrong endpoint it would say that there is none at all, too.
+    # Not as a bound of the field, which would also be reported for a wrong endpoint.
     if not endpoints:
         raise ValueError("at least one endpoint is needed, such as tcp/127.0.0.1:7447")
     return endpoints
@@ -64,7 +64,7 @@ Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 
 
 class LinkOptions(BaseModel):
-    """Where a robot is, and who asks: the options of driver ``zenoh``."""
+    """Address of a remote robot, and credentials: the options of driver ``zenoh``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -73,15 +73,15 @@ class LinkOptions(BaseModel):
     connect: Annotated[tuple[Endpoint, ...], AfterValidator(_some)] = ("tcp/127.0.0.1:7447",)
     """Zenoh endpoints of its host, tried in turn."""
     tls: TlsFiles | None = None
-    """Certificates; needed where the host listens on a tls endpoint."""
+    """Certificates; required for a tls endpoint."""
     user: str | None = Field(default=None, min_length=1)
-    """User name, where the host asks for one."""
+    """User name, if the host requires one."""
     password_file: Path | None = None
     """File whose only line is that user's password."""
     timeout_s: Seconds = 1.0
-    """Longest time to wait for a state in a tick, and for an answer, s."""
+    """Longest time to wait for a state in a tick, and for a reply, s."""
     connect_timeout_s: Seconds = 3.0
-    """Longest time to wait for the host, and for a lease that somebody else has, s."""
+    """Longest time to wait for the host, and for a lease that another client has, s."""
     reset_timeout_s: Seconds = 120.0
     """Longest time to wait for a reset, or for a scene to be loaded, s."""
 
@@ -90,7 +90,7 @@ def link_options(options: Mapping[str, object]) -> LinkOptions:
     """Read the options of a remote robot.
 
     Args:
-        options: As in a user's robot file; what is left out has its default.
+        options: As in a user's robot file; missing keys have their defaults.
 
     Raises:
         InvalidSpec: If a key is unknown or a value not allowed.
@@ -98,10 +98,9 @@ def link_options(options: Mapping[str, object]) -> LinkOptions:
     try:
         link = LinkOptions.model_validate(options)
     except ValidationError as error:
-        details = error.errors(include_url=False, include_context=False)
-        raise InvalidSpec("; ".join(_sentence(detail) for detail in details)) from None
+        raise InvalidSpec(describe_problems(error, LinkOptions, "remote robot setting")) from None
     if (link.user is None) != (link.password_file is None):
-        raise InvalidSpec("a remote robot's user and password_file belong together; give both")
+        raise InvalidSpec("user and password_file of a remote robot belong together; give both")
     if link.tls is None and any(endpoint.startswith("tls/") for endpoint in link.connect):
         raise InvalidSpec("a tls endpoint needs certificates: give tls: {ca, certificate, key}")
     return link
@@ -111,21 +110,21 @@ def open_session(options: LinkOptions) -> zenoh.Session:
     """Connect to a robot's host.
 
     Args:
-        options: Where it is, and who asks.
+        options: Address of the robot, and credentials.
 
     Returns:
         A session with a link to the host.
 
     Raises:
-        LinkLost: Nobody answers there, or refuses these credentials.
-        InvalidSpec: A file of certificates or the password cannot be read.
+        LinkLost: No host answers, or it refuses these credentials.
+        InvalidSpec: A certificate or the password file cannot be read.
     """
     config = client_config(options)
     deadline = time.monotonic() + options.connect_timeout_s
     cause: zenoh.ZError | None = None
-    # One by one, because a Zenoh peer is content only when every endpoint answers.
-    for waiting, endpoint in zip(range(len(options.connect), 0, -1), options.connect, strict=True):
-        share_s = max(deadline - time.monotonic(), 0.0) / waiting
+    # One at a time, because a Zenoh peer waits until every endpoint answers.
+    for left, endpoint in zip(range(len(options.connect), 0, -1), options.connect, strict=True):
+        share_s = max(deadline - time.monotonic(), 0.0) / left
         config.insert_json5("connect/endpoints", json.dumps([endpoint]))
         config.insert_json5("connect/timeout_ms", str(max(1, round(1e3 * share_s))))
         try:
@@ -133,18 +132,17 @@ def open_session(options: LinkOptions) -> zenoh.Session:
         except zenoh.ZError as error:
             cause = error
             continue
-        if session.info.links():  # Zenoh may open without any, such as after a refusal
+        if session.info.links():  # Zenoh may open without a link, such as after a refusal
             return session
         session.close()
-    raise LinkLost(_nobody(options)) from cause
+    raise LinkLost(_no_answer(options)) from cause
 
 
 def client_config(options: LinkOptions) -> zenoh.Config:
-    """Return the configuration of a client's session: it knows the host and nobody else.
+    """Return the configuration of a client's session, with a link to the host only.
 
     Raises:
-        InvalidSpec: A file of certificates or the password cannot be read, or is not what it
-            should be.
+        InvalidSpec: A certificate or the password file cannot be read, or is invalid.
     """
     settings: dict[str, object] = {
         **POINT_TO_POINT,
@@ -179,7 +177,7 @@ def make_config(settings: Mapping[str, object]) -> zenoh.Config:
     """Return a Zenoh configuration.
 
     Args:
-        settings: Value of each key.
+        settings: Values by key.
     """
     config = zenoh.Config()
     for key, value in settings.items():
@@ -188,26 +186,26 @@ def make_config(settings: Mapping[str, object]) -> zenoh.Config:
 
 
 def warn_if_others_can_read(path: Path, kind: str) -> None:
-    """Log it where a file with a secret is open to other users of this machine.
+    """Log a warning if other users of this machine have access to a file with a secret.
 
     Args:
         path: The file.
-        kind: What it is, such as ``"password_file"``.
+        kind: Kind of file, such as ``"password_file"``.
     """
     if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        log.warning("%s %s can be read by others; say: chmod 600 %s", kind, path, path)
+        log.warning("%s %s is accessible to other users; run: chmod 600 %s", kind, path, path)
 
 
-def _nobody(options: LinkOptions) -> str:
+def _no_answer(options: LinkOptions) -> str:
     where = ", ".join(options.connect)
     refused = (
-        ", or it refuses these credentials, which may be wrong"
+        ", or it refuses these credentials"
         if options.tls is not None or options.user is not None
-        else ", or it asks for credentials and none are given"
+        else ", or it requires credentials, and none are given"
     )
     return (
         f"no host of robot {options.robot!r} answers at {where} within "
-        f"{options.connect_timeout_s:g} s{refused}; start one, for a simulated robot with: "
+        f"{options.connect_timeout_s:g} s{refused}; start a host, for a simulated robot with: "
         "iher-robot serve --driver mujoco"
     )
 
@@ -216,9 +214,10 @@ def _password(path: Path) -> str:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no UTF-8 text"
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise InvalidSpec(
-            f"password_file {str(path)!r} cannot be read: {reason}; its only line is the password"
+            f"password_file {str(path)!r} cannot be read: {reason}; allowed: a text file with one "
+            "line, the password"
         ) from None
     if len(lines) != 1 or not lines[0].strip():
         raise InvalidSpec(
@@ -226,14 +225,3 @@ def _password(path: Path) -> str:
         )
     warn_if_others_can_read(path, "password_file")
     return lines[0].strip()  # so does the host with what its file of users says
-
-
-def _sentence(detail: Mapping[str, object]) -> str:
-    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
-    key, value, reason = ".".join(path), detail["input"], str(detail["msg"])
-    if detail["type"] == "extra_forbidden":
-        section: type[BaseModel] = TlsFiles if path[0] == "tls" else LinkOptions
-        names = [".".join((*path[:-1], name)) for name in section.model_fields]
-        return unknown("setting of a remote robot", key, names)
-    reason = reason.removeprefix("Value error, ")
-    return f"setting {key} of a remote robot is {value!r}: {reason[0].lower()}{reason[1:]}"

@@ -1,4 +1,4 @@
-"""What travels between a host and its clients, apart from states; see ``docs/protocol.md``."""
+"""Commands, requests and replies between a host and its clients; see ``docs/protocol.md``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.command import Command, EndEffectorCommand, JointCommand
 from drivers.wire import Array, Count, Message, Name, Text, WireError, check, unpack_map
 
 FAULT_NAME = r"^[a-z0-9][a-z0-9_-]{0,63}$"
-"""An operator must be able to type it."""
+"""Names that an operator can type."""
 
 FaultName = Annotated[str, Field(pattern=FAULT_NAME)]
 Speed = Annotated[float, Field(gt=0, le=1)]
@@ -20,23 +20,23 @@ Time = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
 class CommandMessage(Message):
-    """What every command says. By itself: the client is there and wants no motion in this tick."""
+    """Fields of every command. By itself a hold: a heartbeat without motion in this tick."""
 
     kind: Literal["hold", "joint", "ee_delta"] = "hold"
     boot: Name
-    """Which start of the host the client means."""
+    """Identifies the start of the host that the client is connected to."""
     token: Count
     """The lease under which it is sent."""
     n: Count
-    """Rises with every command of a lease."""
+    """Increases with every command of a lease."""
     answers: Count
-    """Sequence of the state that the client had seen."""
+    """Sequence of the state that the command was computed from."""
 
-    def command(self, answers: int) -> Command | None:  # noqa: ARG002 - by itself it has none
-        """Return what the robot is asked for, None for no motion.
+    def command(self, answers: int) -> Command | None:  # noqa: ARG002 - a hold has none
+        """Return the command for the driver, None for no motion.
 
         Args:
-            answers: Sequence of the state, as the driver counts.
+            answers: Sequence of the state in the driver's tick counter.
         """
         return None
 
@@ -78,7 +78,7 @@ def unpack_command(data: bytes) -> CommandMessage:
     """Decode and check a command.
 
     Raises:
-        WireError: It is none.
+        WireError: It is malformed, or of another version.
     """
     return check_command(unpack_map(data))
 
@@ -87,7 +87,7 @@ def check_command(content: Mapping[str, object]) -> CommandMessage:
     """Check a decoded command.
 
     Raises:
-        WireError: It is none.
+        WireError: It is malformed.
     """
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -98,10 +98,10 @@ def check_command(content: Mapping[str, object]) -> CommandMessage:
 
 
 def command_fields(command: Command | None) -> dict[str, Any]:
-    """Return what a command adds to a `CommandMessage`; of None nothing.
+    """Return the fields that a command adds to a `CommandMessage`; None is a hold.
 
     Raises:
-        TypeError: If the protocol has no such command.
+        TypeError: If the protocol has no such kind of command.
     """
     if command is None:
         return {"kind": "hold"}
@@ -111,7 +111,9 @@ def command_fields(command: Command | None) -> dict[str, Any]:
     elif isinstance(command, EndEffectorCommand):
         names = ("delta_pos", "finger_delta")
     else:
-        raise TypeError(f"{command.kind!r} commands cannot be sent to a remote robot")
+        raise TypeError(
+            f"kind of command is {command.kind!r}, allowed for a remote robot: joint, ee_delta"
+        )
     return {"kind": command.kind} | {name: getattr(command, name) for name in names}
 
 
@@ -120,12 +122,12 @@ POSE_SIZES = {"pos": 3, "quat": 4, "linvel": 3, "angvel": 3}
 
 
 class ObjectMessage(Message):
-    """The pose of an object, as somebody else than the robot saw it."""
+    """The pose of an object, from another publisher than the robot."""
 
     n: Count
-    """Rises with every pose of this publisher."""
+    """Increases with every pose of this publisher."""
     age_s: Time
-    """Time from the picture to the sending of this message."""
+    """Time from the measurement to the sending of this message."""
     frame: Name
     pos: Array
     quat: Array
@@ -133,49 +135,49 @@ class ObjectMessage(Message):
     angvel: Array
 
 
-# Requests: what a client asks under rpc/NAME, and what it is answered
+# Requests of clients under rpc/NAME, and the reply
 
 
 class Empty(Message):
-    """A request without content: `spec` of the scene in force, `status`."""
+    """A request without content: `spec` of the current scene, `status`."""
 
 
 class SpecRequest(Message):
-    """Describe the robot."""
+    """Request for the robot's description."""
 
     scene: Name | None = None
-    """In this scene; None for the one in force."""
+    """The scene; None for the current one."""
 
 
 class Ping(Message):
-    """Answer at once."""
+    """Request that the host answers with the same payload."""
 
     payload: Annotated[bytes, Field(max_length=65536)] = b""
 
 
 class LeaseRequest(Message):
-    """Ask for the right to command, keep it, or give it back."""
+    """Request to acquire, renew or release the lease."""
 
     op: Literal["acquire", "renew", "release"]
     session: Name
-    """Drawn by chance by each client; it may take over its own lease."""
+    """Random identifier of a client, which may acquire its own lease again."""
     holder: Name
-    """Who it is, for people: user, machine, process."""
+    """Description of the client for people: user, machine, process."""
     token: Count = 0
     """The lease to renew or release."""
     scene: Name | None = None
-    """The scene that the task needs; None for the one in force."""
+    """The scene that the task needs; None for the current one."""
 
 
 class Leased(Message):
-    """A request of whoever has the lease: `disarm`, `hands_clear`."""
+    """A request that requires the lease: `disarm`, `hands_clear`."""
 
     boot: Name
     token: Count
 
 
 class ArmRequest(Leased):
-    """Open the command gate."""
+    """Request to open the command gate."""
 
     speed: Speed = 1.0
     """Share of full speed."""
@@ -187,24 +189,24 @@ class ResetMessage(Leased):
     objects: dict[Name, list[float]]
     seed: Count
     speed: Speed = 1.0
-    """Share of full speed of the way home."""
+    """Share of full speed on the way home."""
 
 
 class StopRequest(Message):
-    """Stop and latch. Anybody may."""
+    """Request to stop and latch, open to every client."""
 
     fault: FaultName
     reason: Text
 
 
 class ClearFaultRequest(Message):
-    """Unlatch a fault: an operator's act. It never arms."""
+    """Request to unlatch a fault, on behalf of an operator. Never arms."""
 
     name: Name
 
 
 class Reply(Message):
-    """The answer to every request."""
+    """The reply to every request."""
 
     ok: bool
     error: Name = ""
@@ -212,6 +214,6 @@ class Reply(Message):
     message: Text = ""
     boot: Name
     seq: Count
-    """The robot's tick counter when it was answered."""
+    """The robot's tick counter at the time of the reply."""
     result: dict[str, Any] = Field(default={})
-    """What was asked for."""
+    """Content of the reply, by request."""

@@ -1,4 +1,4 @@
-"""The newest state of a remote robot, and waiting for a newer one."""
+"""The newest state of a remote robot, with a way to wait for a newer one."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Received = tuple[RobotState, HostInfo]
 
 
 class NewestState:
-    """Keeps the newest state that arrived; older ones that arrive late are dropped.
+    """Keeps the newest state received; older states that arrive late are dropped.
 
     Args:
         spec: The robot.
-        on_arrival: Called with each, before anybody who waits for it wakes.
+        on_arrival: Called with each new state, before the threads that wait for it wake.
     """
 
     def __init__(self, spec: RobotSpec, on_arrival: Callable[[RobotState, HostInfo], None]) -> None:
@@ -32,19 +32,19 @@ class NewestState:
         self._newest: Received | None = None
         self._wakes = 0
         self.malformed = 0
-        """States that were not of this protocol."""
+        """Number of malformed states."""
 
     @property
     def value(self) -> Received | None:
-        """The newest, None before the first."""
+        """The newest state, None before the first."""
         return self._newest
 
     def take(self, data: bytes, received_ns: int) -> None:
-        """Take a message as it arrives.
+        """Take a message.
 
         Args:
-            data: A state.
-            received_ns: When, on this machine's clock.
+            data: A packed state.
+            received_ns: Time of receipt, on this machine's clock.
         """
         try:
             state, info = unpack_state(data, self._spec, received_ns)
@@ -67,11 +67,11 @@ class NewestState:
         """Wait for a state.
 
         Args:
-            wanted: Whether the newest is the one.
+            wanted: Whether a state ends the wait.
             timeout_s: Longest time to wait.
 
         Returns:
-            It, or None: the time was over, or `wake` was called.
+            The state, or None after the timeout or a call of `wake`.
         """
         deadline = time.monotonic() + timeout_s
         with self._changed:
@@ -84,7 +84,7 @@ class NewestState:
             return self._newest
 
     def wake(self) -> None:
-        """Let everybody who waits go on without what they wait for."""
+        """Make every `wait` in progress return."""
         with self._changed:
             self._wakes += 1
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""Publishing for a control loop: the newest counts, and nothing waits."""
+"""Zenoh publishers for control loops: low latency, dropping instead of blocking."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import zenoh
 
 
 def real_time_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """Declare a publisher that sends at once, before anything else, and drops when congested.
+    """Declare a publisher that sends immediately, at the highest priority, and drops if congested.
 
     Args:
-        session: Of either side.
-        key: What it publishes on.
+        session: Session of a host or a client.
+        key: Key to publish on.
     """
     return session.declare_publisher(
         key,

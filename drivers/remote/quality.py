@@ -1,4 +1,4 @@
-"""How good the link to a robot is."""
+"""Round-trip times of the link to a robot."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class LinkQuality:
     """Round trips between a client and a robot's control loop.
 
     Attributes:
-        count: Round trips tried.
-        lost: Those that were not answered in time.
+        count: Number of round trips attempted.
+        lost: Number of those without a reply in time.
         p50_ms: Median.
         p99_ms: 99th percentile.
         jitter_ms: Standard deviation.
@@ -36,11 +36,11 @@ def measure_link(client: RobotClient, count: int, pause_s: float = 0.01) -> Link
 
     Args:
         client: Session with the host.
-        count: How many.
-        pause_s: Between two.
+        count: Number of round trips.
+        pause_s: Pause between two of them.
 
     Raises:
-        LinkLost: Not one was answered.
+        LinkLost: The first one got no reply.
     """
     times_ms: list[float] = []
     lost: LinkLost | None = None

@@ -1,4 +1,4 @@
-"""A robot's state as it travels, tick by tick."""
+"""The message that publishes a robot's state in every tick."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _ARRAYS = ("q", "dq", "ee_pos", "ee_quat", "ee_linvel", "ee_angvel", "fingers_po
 
 @dataclass(frozen=True)
 class HostInfo:
-    """What a host says besides the robot's state.
+    """Status of a host, published with the robot's state.
 
     Attributes:
-        boot: Which start of the host this is.
+        boot: Identifies this start of the host.
         token: The lease in force, 0 for none.
-        n: Number of the last command of that lease that was dealt with before the tick ended.
-        now_ns: When it was sent, on the clock of the stamps.
+        n: Number of the last command of that lease that was processed before the tick ended.
+        now_ns: Time of sending, on the clock of the stamps.
         armed: Whether the command gate is open.
         disarmed_because: Why the host closed the gate by itself, empty if it did not.
         fault: The latched fault.
@@ -62,7 +62,7 @@ class FaultPart(Part):
 
 
 class AppliedPart(Part):
-    """What was last applied; `command` has the form of a command message."""
+    """The command applied last; `command` has the form of a command message."""
 
     tick: Count
     clipped: list[Name]
@@ -70,7 +70,7 @@ class AppliedPart(Part):
 
 
 class SetpointPart(Part):
-    """What the motors follow."""
+    """Target of the motors."""
 
     q: Array
     dq: Array
@@ -78,7 +78,7 @@ class SetpointPart(Part):
 
 
 class ObjectPart(Part):
-    """An object as one sensor saw it."""
+    """Pose of an object as measured by one sensor."""
 
     pos: Array
     quat: Array
@@ -121,8 +121,8 @@ def pack_state(state: RobotState, info: HostInfo) -> bytes:
     """Encode a state.
 
     Args:
-        state: The robot's.
-        info: The host's.
+        state: The robot's state.
+        info: The host's status.
     """
     applied, setpoint = state.applied, state.setpoint
     content: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}
@@ -151,16 +151,13 @@ def unpack_state(data: bytes, spec: RobotSpec, received_ns: int) -> tuple[RobotS
     """Decode and check a state.
 
     Args:
-        data: Its bytes.
-        spec: The robot, whose numbers of joints, fingers and objects it must have.
-        received_ns: When it was received, on the receiver's clock, to which every stamp is moved:
-            by the age that it had when it was sent. The way itself is not known and not in it.
-
-    Returns:
-        What was sent.
+        data: The packed state.
+        spec: The robot; its numbers of joints and fingers, and its objects, are checked.
+        received_ns: Time of receipt, on the receiver's clock. Every stamp is converted to that
+            clock by its age at the time of sending; the unknown transit time is left out.
 
     Raises:
-        WireError: It is no state of this robot.
+        WireError: It is malformed, or of another robot.
     """
     message = unpack(StateMessage, data)
     _check_shapes(message, spec)
@@ -217,7 +214,7 @@ def _read_applied(part: AppliedPart) -> AppliedCommand:
     message = check_command(part.command)
     command = message.command(message.answers)
     if command is None:
-        raise WireError("malformed", "the applied command is none")
+        raise WireError("malformed", "the applied command is a hold, allowed: joint, ee_delta")
     return AppliedCommand(part.tick, command, tuple(part.clipped))
 
 
@@ -240,7 +237,7 @@ def _check_shapes(message: StateMessage, spec: RobotSpec) -> None:
             found[f"{name}.{field}"], sizes[f"{name}.{field}"] = getattr(pose, field), size
     unknown = message.objects.keys() - spec.objects.keys()
     if unknown:
-        raise WireError("malformed", f"objects {sorted(unknown)}, of {spec.name}: none such")
+        raise WireError("malformed", f"objects {sorted(unknown)}, allowed: {sorted(spec.objects)}")
     for name, array in found.items():
         if array.shape != (sizes[name],):
             raise WireError(

@@ -1,4 +1,4 @@
-"""How evenly a robot's states arrive, and which do not."""
+"""Statistics of the stream of a robot's states: rate, jitter, losses."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from drivers.wire import WireError
 
 @dataclass(frozen=True)
 class StateStream:
-    """The states that arrived in a time.
+    """The states received in a period.
 
     Attributes:
-        count: States that arrived.
-        lost: Numbers of the tick counter in between that did not.
-        malformed: Messages that were no state of this robot.
-        rate_hz: States a second.
-        jitter_ms: Standard deviation of the time between two.
-        newest: The last one, None where none arrived.
-        received_ns: When that was, on the clock of its stamps.
+        count: Number of states received.
+        lost: Number of ticks in between without a state.
+        malformed: Number of messages that are no state of this robot.
+        rate_hz: States per second.
+        jitter_ms: Standard deviation of the time between two states.
+        newest: The last state, None without one.
+        received_ns: Its time of receipt, on the clock of its stamps.
     """
 
     count: int
@@ -38,7 +38,7 @@ class StateStream:
 
 
 class StateListener:
-    """Takes states as they arrive.
+    """Records when states arrive.
 
     Args:
         spec: The robot.
@@ -56,8 +56,8 @@ class StateListener:
         """Take a message.
 
         Args:
-            data: A state.
-            received_ns: When, on this machine's clock.
+            data: A packed state.
+            received_ns: Time of receipt, on this machine's clock.
         """
         try:
             state, _ = unpack_state(data, self._spec, received_ns)
@@ -71,10 +71,10 @@ class StateListener:
             self._times_ns.append(received_ns)
 
     def result(self, skipped: int = 0) -> StateStream:
-        """Return what arrived so far.
+        """Return the statistics so far.
 
         Args:
-            skipped: Ticks that the robot counted meanwhile without a state, as in a reset.
+            skipped: Ticks for which no state was published, as in a reset.
         """
         with self._lock:
             seqs, times_ns = list(self._seqs), np.array(self._times_ns, dtype=np.int64)
@@ -95,7 +95,7 @@ class StateListener:
 
 
 def listen_to_states(client: RobotClient, spec: RobotSpec) -> StateListener:
-    """Begin to take the states of a robot.
+    """Start to receive the states of a robot.
 
     Args:
         client: Session with its host.

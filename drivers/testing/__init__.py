@@ -1,14 +1,14 @@
-"""What authors of drivers test with. It needs pytest.
+"""Conformance suite for robot drivers; it needs pytest.
 
-A driver proves that it keeps the contract of `RobotDriver` by a subclass of `DriverContract`
-among its tests; `docs/drivers.md` shows one.
+A subclass of `DriverContract` among the tests of a driver checks that it keeps the contract of
+`RobotDriver`; `docs/drivers.md` shows one.
 """
 
 from __future__ import annotations
 
 import pytest
 
-# Before the modules are imported: a failing assert then shows the values in it.
+# Before the modules are imported, so that a failing assert shows its values.
 _TESTS = "commands excess following lifecycle resets states stopping suite ticks"
 pytest.register_assert_rewrite(*(f"{__name__}.{module}" for module in _TESTS.split()))
 

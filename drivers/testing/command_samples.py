@@ -1,4 +1,4 @@
-"""Commands of each kind, good and bad, for the tests of a driver."""
+"""Valid, excessive and invalid commands of each kind, for the tests of a driver."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ class CommandSamples(ABC):
     kind: ClassVar[str]
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Make commands for a robot.
+        """Store the robot's description.
 
         Args:
-            spec: Its description.
+            spec: The robot.
         """
         self.spec = spec
 
     @abstractmethod
     def small(self, state: RobotState, sign: float = 1.0) -> Command:
-        """Return a small motion that no limit clips.
+        """Return a small motion that exceeds no limit.
 
         Args:
-            state: What it answers, at most a few ticks of small commands away from home.
-            sign: 1 for one way, -1 for the other.
+            state: The state to answer, at most a few ticks of small commands away from home.
+            sign: 1 for one direction, -1 for the opposite one.
         """
 
     @abstractmethod
     def excessive(self, state: RobotState, rng: np.random.Generator, sign: float = 1.0) -> Command:
-        """Return a motion in a random direction, 100 times too large in every respect.
+        """Return a motion in a random direction, 100 times larger than every limit.
 
         Args:
-            state: What it answers.
+            state: The state to answer.
             rng: Draws the direction.
-            sign: 1 for this way, -1 for the way back.
+            sign: 1 for this direction, -1 for the opposite one.
         """
 
     @abstractmethod
     def asked(self, state: RobotState, command: Command) -> float:
-        """Return how far a small command asks to move from a state, m or rad."""
+        """Return the displacement that a small command requests from a state, m or rad."""
 
     @abstractmethod
     def moved(self, before: RobotState, after: RobotState) -> float:
-        """Return how far the robot went the way that small commands go, m or rad."""
+        """Return the displacement of the robot in the direction of small commands, m or rad."""
 
     def broken(self, state: RobotState) -> Iterator[tuple[str, Command]]:
-        """Yield commands that no robot can carry out, each with what is wrong with it.
+        """Yield invalid commands, each with a description of what is wrong.
 
         Args:
-            state: What they answer.
+            state: The state to answer.
         """
         good = self.small(state)
         for field in dataclasses.fields(good):
@@ -90,7 +90,7 @@ class EndEffectorSamples(CommandSamples):
 
     kind = EndEffectorCommand.kind
     share = 0.2
-    """Of what an action of 1 asks for, and of the greatest speed."""
+    """Share of the displacement of an action of 1, and of the speed limit."""
 
     def small(self, state: RobotState, sign: float = 1.0) -> EndEffectorCommand:
         """Return a displacement along x."""
@@ -113,7 +113,7 @@ class EndEffectorSamples(CommandSamples):
         return float(command.delta_pos[0])
 
     def moved(self, before: RobotState, after: RobotState) -> float:
-        """Return the way along x, m."""
+        """Return the displacement along x, m."""
         return float(after.ee_pos[0] - before.ee_pos[0])
 
     def _fingers(self, displacement: float) -> NDArray[np.float64]:
@@ -121,20 +121,21 @@ class EndEffectorSamples(CommandSamples):
 
 
 class JointSamples(CommandSamples):
-    """Motions of the first joint, into its range, from where the motors are asked to be."""
+    """Motions of the first joint, towards the middle of its range, from the setpoint."""
 
     kind = JointCommand.kind
     speed_share = 0.2
-    """Of the joint's greatest velocity."""
+    """Share of the joint's velocity limit."""
     acceleration_share = 0.5
+    """Share of the joint's acceleration limit."""
 
     def small(self, state: RobotState, sign: float = 1.0, joint: int = 0) -> JointCommand:
-        """Return one tick of a gentle motion of one joint."""
+        """Return one tick of a slow motion of one joint."""
         setpoint = state.setpoint
         limits = list(self.spec.limits.joints.values())[joint]
         assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
         period_s = self.spec.control_period_s
-        # Up, unless it stands high: 0.75 is far from where either way could end in a few ticks.
+        # Up, except from the top quarter of the range: no small motion gets from there to its end.
         high = setpoint.q[joint] > limits.lower + 0.75 * (limits.upper - limits.lower)
         goal = (-sign if high else sign) * self.speed_share * limits.max_velocity
         change = self.acceleration_share * limits.max_acceleration * period_s
@@ -144,7 +145,7 @@ class JointSamples(CommandSamples):
         return JointCommand(state.seq, q_target, dq, period_s, setpoint.fingers.copy())
 
     def still(self, state: RobotState) -> JointCommand:
-        """Return a command to stay where the motors are asked to be."""
+        """Return a command to stay at the setpoint."""
         setpoint = state.setpoint
         assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
         still = np.zeros_like(setpoint.dq)
@@ -155,7 +156,7 @@ class JointSamples(CommandSamples):
     def excessive(
         self, state: RobotState, rng: np.random.Generator, sign: float = 1.0
     ) -> JointCommand:
-        """Return targets and velocities of 100 times what the joints can do in a tick."""
+        """Return targets and velocities of 100 times the joints' limits."""
         setpoint = state.setpoint
         assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
         fastest = np.array([joint.max_velocity for joint in self.spec.limits.joints.values()])
@@ -168,11 +169,11 @@ class JointSamples(CommandSamples):
         return JointCommand(state.seq, setpoint.q + dq * period_s, dq, period_s, fingers)
 
     def asked(self, state: RobotState, command: Command) -> float:
-        """Return the way of the first joint, rad or m."""
+        """Return the displacement of the first joint, rad or m."""
         assert isinstance(command, JointCommand)
         assert state.setpoint is not None
         return float(command.q_target[0] - state.setpoint.q[0])
 
     def moved(self, before: RobotState, after: RobotState) -> float:
-        """Return the way of the first joint, rad or m, positive where `asked` is."""
+        """Return the displacement of the first joint, rad or m, with the sign of `asked`."""
         return float(after.q[0] - before.q[0])

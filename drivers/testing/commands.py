@@ -1,8 +1,9 @@
-"""Commands: what is taken, what is refused and counted, what is an error."""
+"""Contract of `command`: which commands are accepted, refused and counted, or errors."""
 
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from drivers.testing.suite import ContractSuite, must_raise
 
 _TICKS = 5
 _LEAST_SHARE = 0.2
-"""Of what was asked: inertia and lag cost some of the way."""
+"""Share of the requested displacement: inertia and lag cost some of it."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,24 +23,26 @@ class UnknownCommand(Command):
     kind: ClassVar[str] = "unknown to every robot"
 
     def check(self, spec: RobotSpec) -> None:
-        """Refuse nothing: the kind alone is wrong."""
+        """Accept everything: only the kind is wrong."""
 
 
 def assert_equal_commands(applied: Command, asked: Command) -> None:
-    """Demand that what was applied is what was asked, since no limit was in the way."""
-    assert type(applied) is type(asked)
+    """Assert that a command within the limits was applied as requested."""
+    assert type(applied) is type(asked), (
+        f"a command must be applied as its own kind, {asked.kind}, not as {applied.kind}"
+    )
     for field in dataclasses.fields(asked):
         np.testing.assert_allclose(
             getattr(applied, field.name),
             getattr(asked, field.name),
             rtol=0.0,
             atol=1e-9,
-            err_msg=f"{field.name} of a command within the limits must be applied as asked",
+            err_msg=f"{field.name} of a command within the limits must be applied as requested",
         )
 
 
 class CommandTests(ContractSuite):
-    """`command` hands over a target; what was applied arrives in the next state."""
+    """`command` sets the target of a tick; the next state reports what was applied."""
 
     def test_a_command_moves_and_is_reported_in_the_next_state(
         self, driver: RobotDriver, kind: str
@@ -49,24 +52,32 @@ class CommandTests(ContractSuite):
         for _ in range(_TICKS):
             command = samples.small(state)
             asked += samples.asked(state, command)
-            assert driver.command(command).accepted
+            self.accept(driver, command)
             driver.advance()
             state = driver.read()
             applied = self.applied_at_once(state)
             if applied is None:
                 continue
             prompt += 1
-            assert state.mode is Mode.MOVING, "a tick with an accepted command is a moving one"
-            assert not applied.clipped, f"no limit is in the way, clipped: {applied.clipped}"
+            assert state.mode is Mode.MOVING, (
+                f"the mode after a tick with an accepted command must be moving, is {state.mode}"
+            )
+            assert not applied.clipped, (
+                f"a command within the limits must not be clipped, clipped: {applied.clipped}"
+            )
             assert_equal_commands(applied.command, command)
         assert prompt > _TICKS / 2, (
-            "a command is applied in the tick after the state that it answers"
+            "a command must be applied in the tick after the state that it answers; it was in "
+            f"{prompt} of {_TICKS} ticks"
         )
         if prompt == _TICKS:
-            assert driver.clips == {}, "a command within the limits counts no clip"
+            assert driver.clips == {}, (
+                f"a command within the limits must count no clip, counted: {driver.clips}"
+            )
         moved = samples.moved(first, state)
         assert moved * np.sign(asked) > _LEAST_SHARE * abs(asked), (
-            f"the robot must go where it is told: asked for {asked:.4f}, went {moved:.4f}"
+            "the robot must move as commanded: "
+            f"the commands add up to {asked:.4f}, it moved by {moved:.4f} m or rad"
         )
 
     def test_the_last_command_of_a_tick_counts(self, driver: RobotDriver, kind: str) -> None:
@@ -75,17 +86,17 @@ class CommandTests(ContractSuite):
         driver.command(samples.small(state))
         driver.command(last)
         applied = self.hold(driver, 1).applied
-        assert applied is not None
+        assert applied is not None, "an accepted command must be reported as applied"
         assert_equal_commands(applied.command, last)
 
     def test_a_command_counts_for_one_tick(self, driver: RobotDriver, kind: str) -> None:
         self.start(driver)
         moved = self.tick(driver, self.samples(driver, kind))
         after = self.hold(driver, 2)
-        assert moved.applied is not None
-        assert after.applied is not None
+        assert moved.applied is not None, "an accepted command must be reported as applied"
+        assert after.applied is not None, "`applied` must stay in the states after its tick"
         assert after.applied.tick == moved.applied.tick, (
-            "a command is applied in one tick, not again"
+            "a command must be applied in one tick, not again in the ticks after it"
         )
 
     def test_a_command_expires_with_the_state_that_it_answers(
@@ -95,19 +106,24 @@ class CommandTests(ContractSuite):
         stale = samples.small(old)
         period_ns = driver.spec.control_period_ns
         watchdog_ns = driver.spec.limits.watchdog_s * 1e9
-        # Reads are spread: of the states that were read, a robot remembers the newest 64.
+        # Reads are spread out: a driver keeps the ages of the newest 64 states only.
         stride = max(1, int(watchdog_ns / period_ns / 16))
         new = old
         while new.stamp_ns - old.stamp_ns <= watchdog_ns:
-            # A period of room: in real time some passes before the robot judges the command.
+            # A period of slack: in real time some time passes before the command is judged.
             if new.stamp_ns - old.stamp_ns <= watchdog_ns - period_ns:
-                taken = driver.command(stale)
-                assert taken.accepted, f"a command expires only after the watchdog, got {taken}"
+                acceptance = driver.command(stale)
+                assert acceptance.accepted, (
+                    "a command must not expire before the state that it answers is older than "
+                    f"`limits.watchdog_s`, got {acceptance}"
+                )
             new = self.hold(driver, stride)
-        assert driver.command(stale).refusal is Refusal.EXPIRED, (
-            "a command expires by the age of the state that it answers"
+        acceptance = driver.command(stale)
+        assert acceptance.refusal is Refusal.EXPIRED, (
+            "a command must expire by the age of the state that it answers, after "
+            f"`limits.watchdog_s`, got {acceptance}"
         )
-        assert driver.command(samples.small(new)).accepted
+        self.accept(driver, samples.small(new))
 
     def test_only_states_read_since_the_reset_can_be_answered(
         self, driver: RobotDriver, kind: str
@@ -117,15 +133,17 @@ class CommandTests(ContractSuite):
         self.reset(driver)
         driver.arm()
         new = driver.read()
-        assert driver.command(samples.small(old)).refusal is Refusal.UNKNOWN_STATE, (
-            "a state from before a reset cannot be answered"
+        acceptance = driver.command(samples.small(old))
+        assert acceptance.refusal is Refusal.UNKNOWN_STATE, (
+            f"an answer to a state from before a reset must be refused, got {acceptance}"
         )
         ahead = dataclasses.replace(samples.small(new), answers=new.seq + 1000)
-        assert driver.command(ahead).refusal is Refusal.UNKNOWN_STATE, (
-            "a state that was never read cannot be answered"
+        acceptance = driver.command(ahead)
+        assert acceptance.refusal is Refusal.UNKNOWN_STATE, (
+            f"an answer to a state that was never read must be refused, got {acceptance}"
         )
         driver.advance()
-        assert driver.read().applied is None, "a refused command moves nothing"
+        assert driver.read().applied is None, "a refused command must not be applied"
 
     def test_every_refusal_is_counted_by_its_reason(self, driver: RobotDriver, kind: str) -> None:
         state, samples = self.start(driver), self.samples(driver, kind)
@@ -140,26 +158,30 @@ class CommandTests(ContractSuite):
             Refusal.UNKNOWN_STATE: 2,
             Refusal.DISARMED: 1,
             Refusal.LATCHED: 1,
-        }, "refusals are counted by reason, accepted commands are not"
+        }, "`refusals` must be counted by reason, without accepted commands"
 
-    def test_what_cannot_be_carried_out_is_an_error_and_moves_nothing(
+    def test_invalid_commands_are_errors_and_move_nothing(
         self, driver: RobotDriver, kind: str
     ) -> None:
         state = self.start(driver)
         for wrong, command in self.samples(driver, kind).broken(state):
-            must_raise(InvalidCommand, lambda c=command: driver.command(c), f"{kind}: {wrong}")  # type: ignore[misc]
-        self._assert_nothing_was_taken(driver)
+            must_raise(
+                InvalidCommand, partial(driver.command, command), f"{kind} command with {wrong}"
+            )
+        self._assert_nothing_applied(driver)
 
     def test_kinds_that_are_not_declared_are_errors(self, driver: RobotDriver) -> None:
         state = self.start(driver)
         unknown = UnknownCommand(state.seq)
-        must_raise(InvalidCommand, lambda: driver.command(unknown), "a command of no known kind")
-        self._assert_nothing_was_taken(driver)
+        must_raise(InvalidCommand, lambda: driver.command(unknown), "a command of undeclared kind")
+        self._assert_nothing_applied(driver)
 
-    def _assert_nothing_was_taken(self, driver: RobotDriver) -> None:
-        assert driver.refusals == {}, "a command that is an error is no refusal"
+    def _assert_nothing_applied(self, driver: RobotDriver) -> None:
+        assert driver.refusals == {}, "a command that raises must not count as a refusal"
         driver.advance()
         after = driver.read()
-        assert (after.applied, after.mode) == (None, Mode.HELD), "an error moves nothing"
+        assert (after.applied, after.mode) == (None, Mode.HELD), (
+            "a command that raises must not be applied"
+        )
         self.hold(driver, self.settling_ticks)
-        self.assert_at_rest(driver, "an error moves nothing")
+        self.assert_at_rest(driver, "a command that raises must not move the robot")

@@ -1,4 +1,4 @@
-"""The whole contract, as one class of tests."""
+"""The conformance suite as one class of tests."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class DriverContract(
     ExcessTests,
     ResetTests,
 ):
-    """Tests that every driver passes unchanged.
+    """Tests of the contract of `RobotDriver`, which every driver must pass unchanged.
 
-    A subclass among a driver's tests says how to make the driver, and may declare what is
-    different about it (`real_time`, `several`, tolerances)::
+    A subclass among a driver's tests makes the driver, and may declare its properties
+    (`real_time`, `several`, tolerances)::
 
         class TestMyRobot(DriverContract):
             def make_driver(self) -> RobotDriver:
                 return MyRobot()
 
     Tests that send commands run once for each kind that the driver's spec declares. The suite
-    moves the robot, at full speed and far: clear the workspace of a real one.
+    moves the robot far and at full speed: clear the workspace of a real one.
     """

@@ -1,4 +1,4 @@
-"""What happens to commands that are far too large."""
+"""Contract of the limits: commands far beyond them are cut, reported and counted."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from drivers.testing.suite import ContractSuite
 _EXCURSIONS = 10
 _TICKS_A_WAY = 10
 _OUT_AND_BACK = (1.0, -1.0)
-"""From home, where a robot is least in its own way and in that of objects. To go on from one
-excursion to the next would lead anywhere: a tick that is missed makes the way back another one."""
+"""Signs of the two halves of an excursion. Each starts at home, where the robot is least likely to
+hit itself or an object: a missed tick changes the way back, so that errors would add up."""
 _ROUNDING = 1e-6
 
 
 class ExcessTests(ContractSuite):
-    """Limits hold for whatever is asked, and what they cut away is reported."""
+    """No command exceeds a limit, and every cut is reported."""
 
     def test_excessive_commands_stay_within_every_limit_and_are_reported(
         self, driver: RobotDriver, kind: str
@@ -32,9 +32,12 @@ class ExcessTests(ContractSuite):
         farthest = max(self._excursion(driver, kind, seed) for seed in range(_EXCURSIONS))
         cut = _EXCURSIONS * len(_OUT_AND_BACK) * _TICKS_A_WAY
         assert sum(driver.clips.values()) >= cut, (
-            f"every clip is counted by its reason: {cut} commands were cut, {driver.clips}"
+            f"`clips` must count every cut by its reason: {cut} commands were cut, counted: "
+            f"{driver.clips}"
         )
-        assert farthest > self.home_tolerance, "commands that are cut down still move the robot"
+        assert farthest > self.home_tolerance, (
+            f"commands that are cut must still move the robot, it moved by {farthest:.4f} m"
+        )
 
     def test_after_excess_the_robot_comes_to_rest(self, driver: RobotDriver, kind: str) -> None:
         rng = np.random.default_rng(0)
@@ -46,10 +49,10 @@ class ExcessTests(ContractSuite):
             after = self.hold(driver, 1)
             self._assert_state_within(after, before, driver.spec)
             before = after
-        self.assert_at_rest(driver, "held ticks bring the robot to rest from its highest speed")
+        self.assert_at_rest(driver, "held ticks must bring the robot to rest from full speed")
 
     def _excursion(self, driver: RobotDriver, kind: str, seed: int) -> float:
-        """Go out from home in a random direction, and back; return the farthest distance, m."""
+        """Move out from home in a random direction, and back; return the farthest distance, m."""
         self.reset(driver)
         driver.arm()
         samples, farthest = self.samples(driver, kind), 0.0
@@ -59,12 +62,12 @@ class ExcessTests(ContractSuite):
                 rng = np.random.default_rng(seed)  # the same direction in every tick
                 acceptance = driver.command(samples.excessive(before, rng, sign))
                 assert acceptance.accepted, (
-                    f"a command that is too large is cut down, not refused; got {acceptance}"
+                    f"a command beyond the limits must be cut, not refused, got {acceptance}"
                 )
                 after = self.hold(driver, 1)
                 applied = after.applied
-                assert applied is not None, "a command that was accepted is reported as applied"
-                assert applied.clipped, "`applied.clipped` says why a command was cut down"
+                assert applied is not None, "an accepted command must be reported as applied"
+                assert applied.clipped, "`applied.clipped` must say why a command was cut"
                 assert_command_within(applied, before, driver.spec)
                 self._assert_state_within(after, before, driver.spec)
                 farthest = max(farthest, float(np.linalg.norm(after.ee_pos - start.ee_pos)))
@@ -78,12 +81,13 @@ class ExcessTests(ContractSuite):
         way = float(np.linalg.norm(state.ee_pos - before.ee_pos))
         speed = max(float(np.linalg.norm(state.ee_linvel)), way / time_s)
         assert speed <= limits.max_ee_speed_m_s * faster, (
-            f"the end effector moves at {speed:.3f} m/s, allowed: {limits.max_ee_speed_m_s}"
+            f"the end effector moves at {speed:.3f} m/s, allowed: {limits.max_ee_speed_m_s} m/s"
         )
         lower, upper = np.array(limits.workspace.lower), np.array(limits.workspace.upper)
         outside = float(np.maximum(lower - state.ee_pos, state.ee_pos - upper).max())
         assert outside <= self.position_error, (
-            f"the end effector is at {state.ee_pos}, {outside:.3f} m outside of {limits.workspace}"
+            f"the end effector is at {state.ee_pos}, {outside:.3f} m outside of the workspace "
+            f"{limits.workspace.lower} to {limits.workspace.upper}"
         )
         if not spec.enforces_joint_limits:
             return
@@ -93,17 +97,17 @@ class ExcessTests(ContractSuite):
                 f"joint {name} is at {q:.4f}, allowed: {joint.lower} to {joint.upper}"
             )
             assert abs(dq) <= joint.max_velocity * faster + self.speed_error, (
-                f"joint {name} moves at {dq:.4f}, allowed: {joint.max_velocity}"
+                f"joint {name} moves at {dq:.4f} rad/s or m/s, allowed: {joint.max_velocity}"
             )
 
 
 def assert_command_within(applied: AppliedCommand, before: RobotState, spec: RobotSpec) -> None:
-    """Demand that what is reported as applied respects the limits.
+    """Assert that a command reported as applied is within the limits.
 
-    Braking in ticks that were missed before it counts, too.
+    Ticks that were missed before it may have changed the velocity, too.
 
     Args:
-        applied: What was applied.
+        applied: The command.
         before: The state that it answers.
         spec: The robot.
     """
@@ -120,7 +124,7 @@ def _assert_displacement_within(command: EndEffectorCommand, spec: RobotSpec) ->
         ("finger_delta", command.finger_delta, spec.action.gripper_scale_m),
     ):
         assert np.abs(delta).max(initial=0.0) <= scale * (1.0 + _ROUNDING), (
-            f"{name} applied is {delta}, allowed: {scale} along each axis"
+            f"{name} applied is {delta} m, allowed: {scale} m along each axis"
         )
 
 

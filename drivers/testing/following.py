@@ -1,4 +1,4 @@
-"""Joint motions: every joint and every finger goes where its setpoint is, and no other does."""
+"""Contract of joint commands: each joint and finger follows its own setpoint."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TICKS = 6
 
 
 class FollowingTests(ContractSuite):
-    """What the motors follow is what the state says, joint by joint."""
+    """The robot follows the setpoint that its state reports, joint by joint."""
 
     def test_each_joint_goes_where_its_setpoint_is(self, driver: RobotDriver) -> None:
         samples = self._joint_samples(driver)
@@ -24,27 +24,30 @@ class FollowingTests(ContractSuite):
             before = state
             speeds = []
             for _ in range(_TICKS):
-                assert driver.command(samples.small(state, joint=joint)).accepted
+                self.accept(driver, samples.small(state, joint=joint))
                 driver.advance()
                 state = driver.read()
                 speeds.append(state.dq[joint])
             moving, state = state, self.hold(driver, self.settling_ticks)
             setpoint = _setpoint_q(state)
-            assert setpoint[joint] != _setpoint_q(before)[joint], f"the setpoint of {name} moves"
+            assert setpoint[joint] != _setpoint_q(before)[joint], (
+                f"commands to joint {name} must move its setpoint"
+            )
             np.testing.assert_allclose(
                 state.q,
                 setpoint,
                 rtol=0.0,
                 atol=self.position_error,
-                err_msg=f"after a motion of {name} every joint is where its setpoint is",
+                err_msg=f"after a motion of {name} every joint must be where its setpoint is",
             )
             way = moving.q[joint] - before.q[joint]
             measured = float(np.sum(speeds)) * driver.spec.control_period_s
             assert measured * np.sign(way) > 0.5 * abs(way), (
-                f"the speeds of {name} add up to its way: {measured:.4f}, not {way:.4f}"
+                f"the velocities of {name} must add up to its displacement {way:.4f}, they add up "
+                f"to {measured:.4f} rad or m"
             )
 
-    def test_fingers_go_where_they_are_told_and_stay(self, driver: RobotDriver) -> None:
+    def test_fingers_reach_their_targets_and_stay(self, driver: RobotDriver) -> None:
         samples = self._joint_samples(driver)
         if not driver.spec.finger_names:
             pytest.skip("this robot has no fingers")
@@ -54,22 +57,27 @@ class FollowingTests(ContractSuite):
             for _ in range(_TICKS):
                 before = _fingers(state)
                 still = dataclasses.replace(samples.still(state), finger_target=before * 0 + target)
-                assert driver.command(still).accepted
+                self.accept(driver, still)
                 driver.advance()
                 state = driver.read()
                 moved = np.abs(_fingers(state) - before)
-                assert (moved <= step * (1 + 1e-6)).all(), "fingers keep their speed limit"
-            told = _fingers(state)
+                assert (moved <= step * (1 + 1e-6)).all(), (
+                    f"finger setpoints move by {moved} m in a tick, allowed: {step} m"
+                )
+            setpoint = _fingers(state)
             state = self.hold(driver, self.settling_ticks)
             np.testing.assert_allclose(
-                _fingers(state), told, atol=1e-9, err_msg="a held tick leaves the fingers alone"
+                _fingers(state),
+                setpoint,
+                atol=1e-9,
+                err_msg="a held tick must not move the finger setpoints",
             )
             np.testing.assert_allclose(
                 state.fingers_pos,
-                told,
+                setpoint,
                 rtol=0.0,
                 atol=self.position_error,
-                err_msg="the fingers are where they were told to be",
+                err_msg="the fingers must be where their setpoints are",
             )
 
     def _joint_samples(self, driver: RobotDriver) -> JointSamples:

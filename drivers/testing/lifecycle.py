@@ -1,4 +1,4 @@
-"""The order of calls: which are allowed when, and how things end."""
+"""Contract of the lifecycle: which calls are allowed in which state, and how they end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drivers.testing.suite import ContractSuite, must_raise
 
 
 class DeliberateError(Exception):
-    """Raised in the body of a context, and nowhere else."""
+    """Raised by the suite in the body of a ``with`` block."""
 
 
 _CALLS: dict[str, Callable[[RobotDriver], object]] = {
@@ -32,7 +32,7 @@ _CALLS: dict[str, Callable[[RobotDriver], object]] = {
     "close": RobotDriver.close,
 }
 
-# What a call in a situation leads to: (open, armed) afterwards, or an error that changes nothing.
+# The result of a call in a situation: (open, armed) afterwards, or an error that changes nothing.
 _TABLE: dict[str, dict[str, tuple[bool, bool] | type[Exception]]] = {
     "closed": {
         "open": (True, False),
@@ -109,24 +109,25 @@ class LifecycleTests(ContractSuite):
     def test_a_command_is_taken_only_while_armed(self, driver: RobotDriver, kind: str) -> None:
         state = self.start(driver)
         command = self.samples(driver, kind).small(state)
-        assert driver.command(command).accepted, "an armed robot takes a valid, fresh command"
+        self.accept(driver, command)
         driver.disarm()
-        assert driver.command(command).refusal is Refusal.DISARMED, (
-            "a command to a disarmed robot is refused as disarmed"
+        acceptance = driver.command(command)
+        assert acceptance.refusal is Refusal.DISARMED, (
+            f"a command to a disarmed robot must be refused as disarmed, got {acceptance}"
         )
         driver.close()
-        must_raise(LifecycleError, lambda: driver.command(command), "a command before open")
+        must_raise(LifecycleError, lambda: driver.command(command), "command on a closed driver")
 
-    def test_disarming_drops_what_was_accepted(self, driver: RobotDriver, kind: str) -> None:
+    def test_disarming_drops_an_accepted_command(self, driver: RobotDriver, kind: str) -> None:
         state = self.start(driver)
-        assert driver.command(self.samples(driver, kind).small(state)).accepted
+        self.accept(driver, self.samples(driver, kind).small(state))
         driver.disarm()
         driver.disarm()
         driver.advance()
         after = driver.read()
         assert after.applied is None, "a command accepted before disarm must not be applied after"
-        assert after.mode is Mode.DISARMED
-        self.assert_at_rest(driver, "a disarmed robot is held")
+        assert after.mode is Mode.DISARMED, f"the mode must be disarmed, is {after.mode}"
+        self.assert_at_rest(driver, "a disarmed robot must be held")
 
     def test_disarming_in_motion_brings_the_robot_to_rest(
         self, driver: RobotDriver, kind: str
@@ -136,15 +137,15 @@ class LifecycleTests(ContractSuite):
             self.tick(driver, self.samples(driver, kind))
         driver.disarm()
         self.hold(driver, self.settling_ticks)
-        self.assert_at_rest(driver, "a disarmed robot is held")
+        self.assert_at_rest(driver, "a disarmed robot must be held")
 
     def test_close_is_idempotent_and_the_driver_opens_again(self, driver: RobotDriver) -> None:
         driver.close()
         self.start(driver)
         driver.close()
         driver.close()
-        assert not driver.is_armed, "a closed driver is disarmed"
-        assert self.start(driver).mode is Mode.HELD, "armed and without a command is held"
+        assert not driver.is_armed, "a closed driver must be disarmed"
+        assert self.start(driver).mode is Mode.HELD, "an armed robot without a command must be held"
 
     def test_a_context_ends_held_and_disarmed_when_its_body_raises(
         self, driver: RobotDriver, kind: str
@@ -156,13 +157,13 @@ class LifecycleTests(ContractSuite):
                 self.tick(driver, self.samples(driver, kind))
                 raise DeliberateError
 
-        must_raise(DeliberateError, episode, "an error of the body leaves the context")
-        assert not driver.is_armed, "a context ends disarmed"
-        assert not driver.is_open, "a context ends closed"
+        must_raise(DeliberateError, episode, "a `with` block must not swallow an error of its body")
+        assert not driver.is_armed, "a `with` block must end disarmed"
+        assert not driver.is_open, "a `with` block must end closed"
         with driver:
-            assert driver.read().mode is Mode.DISARMED, "a robot that opens again is disarmed"
+            assert driver.read().mode is Mode.DISARMED, "a robot that opens again must be disarmed"
             self.hold(driver, self.settling_ticks)
-            self.assert_at_rest(driver, "a robot whose context ended is held")
+            self.assert_at_rest(driver, "a robot must be held after a `with` block")
 
     def test_the_description_needs_no_connection_and_never_changes(
         self, driver: RobotDriver
@@ -186,8 +187,8 @@ class LifecycleTests(ContractSuite):
         self.tick(driver, self.samples(driver, kind))
         driver.command(self.samples(driver, kind).small(before))
         driver.stop("the suite stops one of two")
-        assert other_driver.fault is None, "a stop belongs to one driver"
-        assert other_driver.is_armed
-        assert other_driver.refusals == {}, "each driver counts its own refusals"
-        assert other_driver.read().applied is None, "a command moves one driver"
+        assert other_driver.fault is None, "a stop must not latch a fault in another driver"
+        assert other_driver.is_armed, "a stop must not disarm another driver"
+        assert other_driver.refusals == {}, "each driver must count its own refusals"
+        assert other_driver.read().applied is None, "a command must not move another driver's robot"
         self.tick(other_driver, self.samples(other_driver, kind))

@@ -1,8 +1,9 @@
-"""Resets: home, the objects in their places, and nothing remembered."""
+"""Contract of `reset`: robot at home, objects in place, no command left over."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ _TICKS = 10
 
 
 class ResetTests(ContractSuite):
-    """`reset` brings the robot home and the objects where they were asked for."""
+    """`reset` brings the robot home and the objects to the requested places."""
 
     def places(self, spec: RobotSpec) -> dict[str, tuple[float, float]]:
         """Return where the objects may lie, in the spec's frame, m; 10 cm around home."""
@@ -34,47 +35,52 @@ class ResetTests(ContractSuite):
         state, home = driver.read(), driver.spec.home
         distance = float(np.linalg.norm(state.ee_pos - np.array(home.ee_pos)))
         assert distance <= self.home_tolerance, (
-            f"after a reset the end effector is at the home of the spec, {home.ee_pos}; it is "
+            f"after a reset the end effector must be at the home of the spec, {home.ee_pos}; it is "
             f"{distance:.4f} m away, at {state.ee_pos}"
         )
         alignment = min(1.0, abs(float(state.ee_quat @ np.array(home.ee_quat))))
         angle = 2.0 * math.acos(alignment)
         assert angle <= self.home_tolerance, (
-            f"after a reset the end effector is oriented as the home of the spec, {home.ee_quat}; "
-            f"it is turned by {angle:.4f} rad, to {state.ee_quat}"
+            "after a reset the end effector must be oriented as the home of the spec, "
+            f"{home.ee_quat}; it is turned by {angle:.4f} rad, to {state.ee_quat}"
         )
-        assert state.mode is Mode.DISARMED, "a reset never arms"
-        assert state.applied is None, "nothing was applied since the reset"
+        assert state.mode is Mode.DISARMED, f"a reset must not arm, the mode is {state.mode}"
+        assert state.applied is None, (
+            f"`applied` must be None after a reset, since nothing was applied: {state.applied}"
+        )
         self.hold(driver, self.settling_ticks)
-        self.assert_at_rest(driver, "after a reset the robot is held")
+        self.assert_at_rest(driver, "after a reset the robot must be held")
 
     def test_a_reset_places_the_objects(self, driver: RobotDriver) -> None:
         if not self.places_objects:
-            pytest.skip("a person places the objects of this robot")
+            pytest.skip("this robot needs a person to place objects: places_objects is False")
         driver.open()
         places = self.places(driver.spec)
         self.reset(driver, ResetRequest(places))
         for name, pose in driver.read().objects.items():
             distance = math.dist(pose.pos[:2], places[name])
             assert distance <= self.object_tolerance, (
-                f"{name} must lie at {places[name]}, as the reset was asked; it lies at {pose.pos}"
+                f"{name} must be at {places[name]}, as requested of the reset; it is at {pose.pos}"
             )
 
     def test_impossible_requests_are_errors_and_move_nothing(self, driver: RobotDriver) -> None:
         driver.open()
         self.reset(driver)
         before = driver.read()
-        requests = {"an object that the robot has not": {"no such object": (0.0, 0.0)}}
+        requests = {"a reset that places an unknown object": {"no such object": (0.0, 0.0)}}
         for name in driver.spec.objects:
-            requests[f"{name} nowhere"] = {name: (math.nan, 0.0)}
-            requests[f"{name} a mile away"] = {name: (1609.0, 0.0)}
+            requests[f"a reset that places {name} at nan"] = {name: (math.nan, 0.0)}
+            requests[f"a reset that places {name} 1609 m away"] = {name: (1609.0, 0.0)}
         for wrong, objects in requests.items():
-            request = ResetRequest(objects)
-            must_raise(InvalidRequest, lambda r=request: driver.reset(r), wrong)  # type: ignore[misc]
+            must_raise(InvalidRequest, partial(driver.reset, ResetRequest(objects)), wrong)
         after = driver.read()
-        # A robot in real time goes on holding meanwhile, as still as it can.
+        # A robot in real time keeps holding meanwhile, as still as it can.
         atol = self.rest_speed * driver.spec.control_period_s if self.real_time else 0.0
         np.testing.assert_allclose(
-            after.ee_pos, before.ee_pos, rtol=0.0, atol=atol, err_msg="an error moves nothing"
+            after.ee_pos,
+            before.ee_pos,
+            rtol=0.0,
+            atol=atol,
+            err_msg="a reset that raises must not move the robot",
         )
         self.reset(driver)

@@ -1,4 +1,4 @@
-"""States: complete, of the shapes that the description names, and values of their own."""
+"""Contract of `read`: states are complete, of the declared shapes, immutable and consistent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TICKS = 10
 
 
 def arrays(value: object, path: str) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield every array in a state, with its name."""
+    """Yield every array in a state, with its path."""
     if isinstance(value, np.ndarray):
         yield path, value
     elif isinstance(value, Mapping):
@@ -48,7 +48,7 @@ def _shapes(spec: RobotSpec) -> dict[str, tuple[int, ...]]:
 
 
 class StateTests(ContractSuite):
-    """`read` returns the newest measurement, whole and frozen."""
+    """`read` returns the newest measurement, complete and read-only."""
 
     def test_states_have_the_shapes_that_the_spec_names(
         self, driver: RobotDriver, kind: str
@@ -58,9 +58,11 @@ class StateTests(ContractSuite):
             found = dict(arrays(state, "state"))
             for name, shape in _shapes(driver.spec).items():
                 assert name in found, f"a state of {driver.spec.name} must have {name}"
-                assert found[name].shape == shape, f"{name} must have the shape {shape}"
+                assert found[name].shape == shape, (
+                    f"{name} must have shape {shape}, has {found[name].shape}"
+                )
             for name, array in found.items():
-                assert array.dtype == np.float64, f"{name} must be of doubles, is {array.dtype}"
+                assert array.dtype == np.float64, f"{name} must be float64, is {array.dtype}"
                 assert np.isfinite(array).all(), f"{name} must be finite, is {array}"
                 if name.endswith("quat"):
                     length = float(np.linalg.norm(array))
@@ -69,10 +71,15 @@ class StateTests(ContractSuite):
     def test_objects_come_from_the_declared_sources(self, driver: RobotDriver) -> None:
         state = self.start(driver)
         sources = driver.spec.objects
-        assert state.objects.keys() == sources.keys(), "a state has the objects of the spec"
+        assert state.objects.keys() == sources.keys(), (
+            f"a state must have the objects of the spec, {sorted(sources)}, has "
+            f"{sorted(state.objects)}"
+        )
         for name, pose in state.objects.items():
             declared = sources[name]
-            assert (pose.source, pose.frame) == (declared.source, declared.frame), name
+            assert (pose.source, pose.frame) == (declared.source, declared.frame), (
+                f"source and frame of {name} must be those of the spec"
+            )
 
     def test_states_cannot_be_written_to(self, driver: RobotDriver, kind: str) -> None:
         self.start(driver)
@@ -101,8 +108,8 @@ class StateTests(ContractSuite):
         way = before.ee_pos - first.ee_pos
         error, allowed = np.linalg.norm(way - expected), 0.5 * np.linalg.norm(way)
         assert error <= allowed, (
-            f"ee_linvel must be the velocity of ee_pos, in m/s and in its frame: the way was {way}"
-            f", the velocities amount to {expected}"
+            "ee_linvel must be the velocity of ee_pos, in m/s and in its frame: ee_pos moved by "
+            f"{way}, the velocities add up to {expected} m"
         )
 
     def test_the_kinematic_model_is_that_of_the_robot(self, driver: RobotDriver, kind: str) -> None:
@@ -120,33 +127,40 @@ class StateTests(ContractSuite):
                 model.ee_pos(q),
                 ee_pos,
                 atol=self.home_tolerance,
-                err_msg=f"{where} the kinematic model must say where the end effector is",
+                err_msg=f"{where} the kinematic model must give the position of the end effector",
             )
 
     def test_the_mode_says_what_the_robot_does(self, driver: RobotDriver, kind: str) -> None:
         driver.open()
         self.reset(driver)
-        assert driver.read().mode is Mode.DISARMED
+        mode = driver.read().mode
+        assert mode is Mode.DISARMED, f"the mode before arm must be disarmed, is {mode}"
         driver.arm()
-        assert driver.read().mode is Mode.HELD
+        mode = driver.read().mode
+        assert mode is Mode.HELD, f"the mode after arm must be held, is {mode}"
         modes = set()
-        for _ in range(_TICKS):  # a robot in real time holds in a tick that is missed
+        for _ in range(_TICKS):  # a robot in real time holds in a missed tick
             state = self.tick(driver, self.samples(driver, kind))
             if self.applied_at_once(state) is not None:
                 modes.add(state.mode)
-        assert modes == {Mode.MOVING}, "a tick with an accepted command is a moving one"
+        assert modes == {Mode.MOVING}, (
+            f"the mode after a tick with an accepted command must be moving, is {modes}"
+        )
         driver.disarm()
         disarmed = driver.read()
-        assert (disarmed.mode, disarmed.fault) == (Mode.DISARMED, None)
+        assert (disarmed.mode, disarmed.fault) == (Mode.DISARMED, None), (
+            f"the mode after disarm must be disarmed without a fault, is {disarmed.mode} with "
+            f"{disarmed.fault}"
+        )
 
-    def test_an_age_that_was_passed_is_stale(self, driver: RobotDriver) -> None:
+    def test_a_state_older_than_allowed_is_stale(self, driver: RobotDriver) -> None:
         self.start(driver)
         driver.advance()
         if not self.real_time:
-            driver.read(max_age_s=0.0)  # a simulation that is paused never grows old
+            driver.read(max_age_s=0.0)  # a paused simulation is never stale
             return
         must_raise(
             StaleState,
             lambda: driver.read(max_age_s=0.0),
-            "in real time every measurement is older than 0 s when it is read",
+            "read(max_age_s=0.0) in real time, where every measurement is older",
         )

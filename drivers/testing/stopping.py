@@ -1,4 +1,4 @@
-"""The emergency stop: at once, from any thread, latched until it is cleared by name."""
+"""Contract of `stop`: immediate, from any thread, and latched until it is cleared by name."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from drivers import (
 )
 from drivers.testing.suite import ContractSuite, must_raise
 
-_PATIENCE_S = 30.0
-"""After which a thread counts as stuck; no tick is this long."""
+_STUCK_AFTER_S = 30.0
+"""Time after which a thread counts as stuck; no tick takes this long."""
 
 
 class StopTests(ContractSuite):
@@ -29,32 +29,45 @@ class StopTests(ContractSuite):
         driver.command(samples.small(state))
         driver.stop("someone walked in")
         driver.stop("a later reason")
-        assert driver.fault is not None, "a stop latches a fault"
-        assert driver.fault.reason == "someone walked in", "the first stop is the one kept"
+        assert driver.fault is not None, "a stop must latch a fault"
+        assert driver.fault.reason == "someone walked in", (
+            f"the first stop must be kept, not a later one: {driver.fault.reason!r}"
+        )
         driver.advance()
         stopped = driver.read()
         assert (stopped.mode, stopped.fault) == (Mode.STOPPED, EMERGENCY_STOP), (
-            "a state says that the robot is stopped, and by which fault"
+            "a state after a stop must have mode stopped and the name of the fault"
         )
         assert stopped.applied is None, "a command accepted before the stop must not be applied"
-        assert driver.command(samples.small(stopped)).refusal is Refusal.LATCHED
+        acceptance = driver.command(samples.small(stopped))
+        assert acceptance.refusal is Refusal.LATCHED, (
+            f"a command to a stopped robot must be refused as latched, got {acceptance}"
+        )
         must_raise(FaultLatched, driver.arm, "arm while a fault is latched")
-        must_raise(FaultLatched, lambda: driver.reset(ResetRequest()), "reset while latched")
-        must_raise(LifecycleError, lambda: driver.clear_fault("another"), "the wrong name clears")
+        must_raise(
+            FaultLatched, lambda: driver.reset(ResetRequest()), "reset while a fault is latched"
+        )
+        must_raise(
+            LifecycleError, lambda: driver.clear_fault("another"), "clear_fault with a wrong name"
+        )
         driver.clear_fault(EMERGENCY_STOP)
-        assert not driver.is_armed, "clearing never arms"
-        assert driver.fault is None
-        must_raise(LifecycleError, lambda: driver.clear_fault(EMERGENCY_STOP), "nothing to clear")
+        assert not driver.is_armed, "clear_fault must not arm"
+        assert driver.fault is None, "clear_fault must clear the fault"
+        must_raise(
+            LifecycleError,
+            lambda: driver.clear_fault(EMERGENCY_STOP),
+            "clear_fault without a latched fault",
+        )
         driver.arm()
-        assert driver.command(samples.small(driver.read())).accepted
+        self.accept(driver, samples.small(driver.read()))
 
     def test_a_latched_stop_survives_close_and_open(self, driver: RobotDriver) -> None:
-        driver.stop("pressed before the robot was even opened")
+        driver.stop("pressed before the robot was opened")
         driver.open()
         driver.close()
         driver.open()
-        assert driver.read().mode is Mode.STOPPED, "a stop survives close and open"
-        must_raise(FaultLatched, driver.arm, "a stop survives close and open")
+        assert driver.read().mode is Mode.STOPPED, "a stop must survive close and open"
+        must_raise(FaultLatched, driver.arm, "arm after a stop, close and open")
 
     def test_a_stop_in_motion_brings_the_robot_to_rest(
         self, driver: RobotDriver, kind: str
@@ -64,7 +77,7 @@ class StopTests(ContractSuite):
             self.tick(driver, self.samples(driver, kind))
         driver.stop("someone walked in")
         self.hold(driver, self.settling_ticks)
-        self.assert_at_rest(driver, "a stopped robot is held")
+        self.assert_at_rest(driver, "a stopped robot must be held")
 
     def test_a_stop_from_another_thread_ends_motion(self, driver: RobotDriver, kind: str) -> None:
         self.start(driver)
@@ -84,17 +97,24 @@ class StopTests(ContractSuite):
 
         ticking = threading.Thread(target=episode, daemon=True)
         ticking.start()
-        assert moving.wait(_PATIENCE_S), "an armed robot takes commands tick by tick"
+        assert moving.wait(_STUCK_AFTER_S), "an armed robot must take commands tick by tick"
         driver.stop("pressed")
-        assert not driver.is_armed, "the gate is closed when stop returns"
+        assert not driver.is_armed, "the gate must be closed when stop returns"
         at_stop = driver.read()
-        assert finished.wait(_PATIENCE_S), "after a stop commands are refused and ticks go on"
-        ticking.join(_PATIENCE_S)
-        assert set(refusals) == {None, Refusal.LATCHED}
+        assert finished.wait(_STUCK_AFTER_S), (
+            "after a stop from another thread, ticks must continue and commands be refused"
+        )
+        ticking.join(_STUCK_AFTER_S)
+        assert set(refusals) == {None, Refusal.LATCHED}, (
+            f"commands must be accepted before a stop and refused as latched after it: {refusals}"
+        )
         after = driver.read()
-        assert after.mode is Mode.STOPPED
-        assert after.applied is not None
-        assert after.applied.tick <= at_stop.seq, "nothing is applied after stop has returned"
+        assert after.mode is Mode.STOPPED, f"the mode after a stop must be stopped, is {after.mode}"
+        assert after.applied is not None, "`applied` must still report the last command"
+        assert after.applied.tick <= at_stop.seq, (
+            f"no command must be applied after stop has returned in tick {at_stop.seq}; one was in "
+            f"tick {after.applied.tick}"
+        )
 
     def test_stops_disarms_and_closes_from_many_threads_end_disarmed(
         self, driver: RobotDriver
@@ -105,9 +125,11 @@ class StopTests(ContractSuite):
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(_PATIENCE_S)
+            thread.join(_STUCK_AFTER_S)
         assert not any(thread.is_alive() for thread in threads), (
-            "stop, disarm and close are idempotent, from any thread, and none waits for another"
+            "stop, disarm and close from many threads must not block each other"
         )
-        assert (driver.is_open, driver.is_armed) == (False, False)
-        assert driver.fault is not None, "the stop is latched whatever came after it"
+        assert (driver.is_open, driver.is_armed) == (False, False), (
+            "a driver must be closed and disarmed after close from any thread"
+        )
+        assert driver.fault is not None, "a stop must stay latched after disarm and close"

@@ -1,4 +1,4 @@
-"""Control ticks: how they are counted, how long they are, and what happens in an empty one."""
+"""Contract of control ticks: their counter, their length, and ticks without a command."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from drivers.testing.suite import ContractSuite
 
 _TICKS = 20
 _JITTER = 0.5
-"""Share of a period by which the median tick of a robot in real time may be short; long it may be
-on a busy machine."""
+"""Share of a period by which the median tick of a robot in real time may be too short. It may be
+too long on a busy machine."""
 
 
 class TickTests(ContractSuite):
@@ -20,9 +20,9 @@ class TickTests(ContractSuite):
         states = self._empty_ticks(driver)
         rises = np.diff([state.seq for state in states])
         assert rises.min() >= 1, f"seq must rise with every tick, it rose by {rises}"
-        assert np.median(rises) == 1, f"seq counts one a tick, it rose by {rises}"
+        assert np.median(rises) == 1, f"seq must rise by 1 per tick, it rose by {rises}"
         if not self.real_time:
-            assert rises.max() == 1, f"seq counts one a tick, it rose by {rises}"
+            assert rises.max() == 1, f"seq must rise by 1 per tick, it rose by {rises}"
 
     def test_every_tick_lasts_a_control_period(self, driver: RobotDriver) -> None:
         states = self._empty_ticks(driver)
@@ -37,12 +37,12 @@ class TickTests(ContractSuite):
 
     def test_reading_twice_in_a_tick_gives_one_state(self, driver: RobotDriver) -> None:
         if self.real_time:
-            return  # a robot that goes on by itself may have measured anew
+            return  # a robot in real time may have measured again
         self.start(driver)
         first, second = driver.read(), driver.read()
         assert (first.seq, first.stamp_ns) == (second.seq, second.stamp_ns)
-        np.testing.assert_array_equal(first.q, second.q, "reading must change nothing")
-        np.testing.assert_array_equal(first.ee_pos, second.ee_pos, "reading must change nothing")
+        np.testing.assert_array_equal(first.q, second.q, "read must not change the state")
+        np.testing.assert_array_equal(first.ee_pos, second.ee_pos, "read must not change the state")
 
     def test_the_tick_counter_never_falls(self, driver: RobotDriver) -> None:
         seen = [self.start(driver).seq]
@@ -53,40 +53,42 @@ class TickTests(ContractSuite):
         driver.close()
         driver.open()
         seen.append(driver.read().seq)
-        assert seen == sorted(seen), f"seq must never fall, over a reset or a restart: {seen}"
-        assert seen[1] < seen[2], f"a reset takes at least one tick: {seen}"
+        assert seen == sorted(seen), f"seq must never fall, also over a reset or restart: {seen}"
+        assert seen[1] < seen[2], f"seq must rise over a reset: {seen}"
 
     def test_a_tick_without_a_command_is_held(self, driver: RobotDriver, kind: str) -> None:
         self.start(driver)
         for _ in range(5):
             moving = self.tick(driver, self.samples(driver, kind))
         held = self.hold(driver, 1)
-        assert held.mode is Mode.HELD, "a tick without an accepted command is held"
-        assert held.applied is not None
+        assert held.mode is Mode.HELD, (
+            f"the mode after a tick without an accepted command must be held, is {held.mode}"
+        )
+        assert held.applied is not None, "`applied` must stay in the states after its tick"
         assert held.applied.tick <= moving.seq < held.seq, (
-            "in a held tick nothing is applied: `applied` stays what it was"
+            "`applied` must not change in a tick without a command"
         )
         self.hold(driver, self.settling_ticks)
-        self.assert_at_rest(driver, "held ticks bring the robot to rest")
+        self.assert_at_rest(driver, "held ticks must bring the robot to rest")
 
     def test_arming_moves_nothing(self, driver: RobotDriver) -> None:
         driver.open()
         self.reset(driver)
         before = self.hold(driver, self.settling_ticks)
         driver.arm()
-        self.assert_at_rest(driver, "an armed robot stays held until its first command")
+        self.assert_at_rest(driver, "an armed robot must stay held until its first command")
         driver.disarm()
-        self.assert_at_rest(driver, "disarming a robot at rest moves nothing")
+        self.assert_at_rest(driver, "disarming a robot at rest must not move it")
         allowed = 15 * self.rest_speed * driver.spec.control_period_s
         np.testing.assert_allclose(
-            driver.read().ee_pos, before.ee_pos, atol=allowed, err_msg="arming moves nothing"
+            driver.read().ee_pos, before.ee_pos, atol=allowed, err_msg="arming must not move it"
         )
 
     def test_the_setpoint_never_jumps(self, driver: RobotDriver, kind: str) -> None:
         samples = self.samples(driver, kind)
         state = self.start(driver)
         if state.setpoint is None:
-            return  # a robot without joint commands has none, which the tests of states check
+            return  # only a robot that takes joint commands has one, which StateTests check
         for act in "move move move hold move disarm hold arm hold move move".split():
             before = driver.read()
             if act in ("arm", "disarm"):
@@ -110,7 +112,7 @@ class TickTests(ContractSuite):
     ) -> None:
         first, last = before.setpoint, after.setpoint
         assert first is not None and last is not None, (  # noqa: PT018 - one demand
-            "a robot that takes joint commands reports its setpoint in every state"
+            "a robot that takes joint commands must report its setpoint in every state"
         )
         joints = driver.spec.limits.joints.values()
         time_s = (after.seq - before.seq) * driver.spec.control_period_s
@@ -120,11 +122,11 @@ class TickTests(ContractSuite):
             f"the setpoint's velocity jumps by {change} at {act}, allowed: {most}"
         )
         if after.seq - before.seq > 1:
-            return  # what happened in between was not seen
+            return  # the states in between are unknown
         travelled = (first.dq + last.dq) / 2.0 * time_s
         np.testing.assert_allclose(
             last.q,
             first.q + travelled,
             atol=1e-6,
-            err_msg=f"the setpoint must move as its velocity says; it jumps at {act}",
+            err_msg=f"the setpoint must move with its velocity; it jumps at {act}",
         )

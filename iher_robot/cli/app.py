@@ -8,7 +8,6 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from drivers import DriverError
 from iher_robot.cli.budget import budget
 from iher_robot.cli.certs import certs
 from iher_robot.cli.data import data
@@ -23,7 +22,6 @@ from iher_robot.cli.view import view
 from iher_robot.errors import UserError
 from iher_robot.signals import Terminated, sigterm_as_interrupt
 from iher_robot.version import __version__
-from tasks import TaskError
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -68,6 +66,14 @@ def _fail(sentence: str, exit_code: int) -> NoReturn:
     sys.exit(exit_code)
 
 
+def _user_errors() -> tuple[type[Exception], ...]:
+    # Imported only when something was raised: both load numpy.
+    from drivers import DriverError
+    from tasks import TaskError
+
+    return UserError, DriverError, TaskError
+
+
 def _exit_code(interrupt: BaseException | None) -> int:
     return TERMINATED if isinstance(interrupt, Terminated) else INTERRUPTED
 
@@ -87,12 +93,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             code = app(args=words, prog_name="iher-robot", standalone_mode=False)
     except typer.TyperException as error:
         _fail(f"{error.format_message()} (see iher-robot --help)", BAD_INPUT)
-    except (UserError, DriverError, TaskError) as error:
-        _fail(str(error), BAD_INPUT)
     except Stopped as stopped:
         _fail(str(stopped), _exit_code(stopped.__cause__))
     except KeyboardInterrupt as error:
         _fail("interrupted", _exit_code(error))
+    except _user_errors() as error:
+        _fail(str(error), BAD_INPUT)
     if code == INTERRUPTED:
         _fail("interrupted", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)

@@ -12,7 +12,7 @@ from iher_robot.cli.options import ConnectOption, OwnRobotOption
 from iher_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from iher_robot.datasets.robot_time import Spending
+    from iher_robot.datasets.spending import Spending
 
 budget = typer.Typer(name="budget")
 
@@ -36,7 +36,7 @@ def show(
     """Show spent and remaining robot time of a run; without a run, the total of a served robot."""
     with told_when_interrupted(None):
         from iher_robot.config.robot import choose_own_robot
-        from iher_robot.datasets.robot_time import spending_of_robot, spending_of_run
+        from iher_robot.datasets.spending import spending_of_robot, spending_of_run
 
         if run is None:
             _print(spending_of_robot(choose_own_robot(None, robot, connect or ())))
@@ -53,7 +53,7 @@ def grant(
 ) -> None:
     """Grant a run more robot minutes; train --resume continues with them."""
     with told_when_interrupted(None):
-        from iher_robot.datasets.robot_time import grant as grant_minutes
+        from iher_robot.datasets.spending import grant as grant_minutes
 
         _print(grant_minutes(run, minutes))
 

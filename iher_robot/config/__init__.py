@@ -1,1 +1,1 @@
-"""Typed settings of runs and robots, and the YAML files they come from."""
+"""Typed settings of runs and robots, read from YAML files."""

@@ -1,4 +1,4 @@
-"""Device and torch settings of a process that learns or acts."""
+"""Device and global torch settings of a process."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import torch
 
 from iher_robot.config.run import RunConfig
 from iher_robot.errors import UserError
-from iher_robot.learning.networks.precision import set_float32_products
+from iher_robot.learning.networks.precision import set_float32_precision
 
 
 def prepare_torch(config: RunConfig) -> None:
-    """Set what torch keeps for a whole process."""
+    """Apply the settings that torch holds for the whole process."""
     torch.set_num_threads(config.threads)
-    set_float32_products(config.learner.matmul_precision, pick_device(config.device))
+    set_float32_precision(config.learner.matmul_precision, pick_device(config.device))
 
 
 def pick_device(name: str) -> torch.device:
-    """Resolve ``auto`` to the GPU if there is one.
+    """Choose the device; ``auto`` takes the GPU if there is one.
 
     Args:
         name: ``auto``, ``cpu`` or ``cuda``.
 
     Raises:
-        UserError: ``cuda`` is asked for and there is none.
+        UserError: ``cuda`` was requested, but there is no GPU.
     """
     available = torch.cuda.is_available()
     if name == "cuda" and not available:

@@ -1,4 +1,4 @@
-"""Dotted keys of a pydantic model, and messages that say what each key allows."""
+"""Dotted keys of a pydantic model, and error messages with the values that each key allows."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from drivers.validation import list_problems
 from iher_robot.config.layers import Layer
 from iher_robot.errors import UserError
 
@@ -29,10 +30,10 @@ _UPPER_IN_WORDS = (("lt", "below {}"), ("le", "up to {}"))
 
 
 class Keys:
-    """The keys of nested sections, written with dots.
+    """Dotted keys of nested sections.
 
     Args:
-        model: The outermost section; a field whose type is a model is a section in it.
+        model: The outermost section; a field whose type is a model is a section.
     """
 
     def __init__(self, model: type[BaseModel]) -> None:
@@ -53,7 +54,7 @@ class Keys:
         """Values of a layer by dotted key.
 
         Raises:
-            UserError: A key does not exist, or a section is given a single value.
+            UserError: A key does not exist, or a section has a single value.
         """
         return dict(self._walk(layer.values, "", layer.origin))
 
@@ -70,13 +71,13 @@ class Keys:
                 yield from self._walk(value, key + ".", origin)
             elif value is not None:
                 raise UserError(
-                    f"{origin}: {key} is {reprlib.repr(value)}, but it is a section with keys of "
-                    f"its own: {', '.join(self._below(key))}"
+                    f"{origin}: {key} is {reprlib.repr(value)}, allowed: a section with the keys "
+                    f"{', '.join(self._below(key))}"
                 )
 
     @staticmethod
     def nest(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Undo ``flatten``."""
+        """Nested mapping of dotted keys, the inverse of ``flatten``."""
         nested: dict[str, Any] = {}
         for key, value in values.items():
             *sections, name = key.split(".")
@@ -90,21 +91,21 @@ class Keys:
         """One sentence for each value that is not allowed.
 
         Args:
-            error: What pydantic found.
-            origins: Where each dotted key was set.
+            error: Error of the model's validation.
+            origins: Layer that set each dotted key.
         """
         sentences = []
-        for detail in error.errors(include_url=False):
-            key = self._known_prefix([str(part) for part in detail["loc"]])
-            if key in self.leaves and detail["type"] != "value_error":
+        for problem in list_problems(error):
+            key = self._known_prefix(problem.path)
+            if key in self.leaves and problem.kind != "value_error":
                 origin = origins.get(key, Layer("default", {}))
-                sentences.append(self.out_of_range(key, detail["input"], origin))
+                sentences.append(self.out_of_range(key, problem.value, origin))
             else:
-                sentences.append(f"{key}: {detail['msg'].removeprefix('Value error, ')}")
+                sentences.append(f"{key}: {problem.reason}")
         return sentences
 
     def out_of_range(self, key: str, value: object, origin: Layer) -> str:
-        """Sentence for a value that its key does not allow."""
+        """Message for a value that its key does not allow."""
         shown, field = reprlib.repr(value), self.leaves[key]
         if origin.option:
             return f"{origin.origin} is {shown}, allowed: {describe_in_words(field)}"
@@ -133,7 +134,7 @@ class Keys:
         return [name for parent, _, name in split if parent == section]
 
     def _nearest(self, key: str) -> str | None:
-        """Nearest valid key; a bare ``gama`` finds ``learner.ddpg.gamma`` too."""
+        """Most similar valid key; a bare ``gama`` also finds ``learner.ddpg.gamma``."""
 
         def nearness(candidate: str) -> float:
             whole = difflib.SequenceMatcher(None, key, candidate).ratio()
@@ -145,14 +146,14 @@ class Keys:
 
 
 def describe_allowed(name: str, field: FieldInfo) -> str:
-    """Say what a field takes, such as ``a number with 0 < gamma <= 1``."""
+    """Describe the allowed values of a field, such as ``a number with 0 < gamma <= 1``."""
     kind = _describe_type(field.annotation)
     bounds = _bound(field, _LOWER) + name + _bound(field, _UPPER)
     return kind if bounds == name else f"{kind} with {bounds}"
 
 
 def describe_in_words(field: FieldInfo) -> str:
-    """Say it without the field's name, such as ``a number, above 0 and up to 1``."""
+    """Describe them without the field's name, such as ``a number, above 0 and up to 1``."""
     bounds = [_bound(field, _LOWER_IN_WORDS), _bound(field, _UPPER_IN_WORDS)]
     said = " and ".join(filter(None, bounds))
     return ", ".join(filter(None, [_describe_type(field.annotation), said]))
@@ -175,7 +176,7 @@ def _describe_type(annotation: Any) -> str:
     if origin is typing.Literal:
         return "one of " + ", ".join(map(str, arguments))
     if origin in (typing.Union, types.UnionType):
-        # null first: the bounds that follow are the number's.
+        # null first: the bounds that follow belong to the number.
         ordered = sorted(arguments, key=lambda argument: argument is not type(None))
         return " or ".join(map(_describe_type, ordered))
     if origin is typing.Annotated:

@@ -1,4 +1,4 @@
-"""Where settings come from: the shipped YAML presets, a user's own file, and ``key=value``."""
+"""Layers of settings: shipped YAML files, a user's files, options and ``key=value``."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from iher_robot.errors import UserError, unknown_name
 from iher_robot.storage.files.atomic import read_file
 
 _SUFFIX = ".yaml"
-_USERS_KINDS = ("preset", "robot", "experiment")  # of these a user may have a file of their own
+_USERS_KINDS = ("preset", "robot", "experiment")  # a user may have files of these kinds
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Settings of one origin, to be laid over those before it.
+    """Settings from one origin, which override earlier layers.
 
     Attributes:
-        origin: Where they are from, for messages.
+        origin: Origin for messages.
         values: Nested mapping, not yet checked.
-        option: Whether the origin is an option that stands for its one key.
+        option: Whether the origin is a command-line option for its only key.
     """
 
     origin: str
@@ -37,14 +37,14 @@ class Layer:
 
 
 def preset_layer(preset: str, task: str) -> Layer:
-    """Read ``presets/<preset>/<task>.yaml``, or a user's own file.
+    """Read ``presets/<preset>/<task>.yaml``, or a user's file.
 
     Args:
         preset: Name of a shipped preset, or a path that ends in .yaml or .yml.
         task: Name of the task.
 
     Raises:
-        UserError: No such preset, none for this task, or a file that is not valid YAML.
+        UserError: The preset does not exist, has no file for the task, or is not valid YAML.
     """
     if is_yaml_file(preset):
         return _own_file("preset", preset)
@@ -61,7 +61,7 @@ def preset_layer(preset: str, task: str) -> Layer:
 
 
 def is_yaml_file(name: str) -> bool:
-    """Whether a name is the path of a user's own file."""
+    """Whether a name is the path of a user's file."""
     return Path(name).suffix in (".yaml", ".yml")
 
 
@@ -69,31 +69,31 @@ def algorithm_layer(algo: str) -> Layer:
     """Read ``algorithms/<algo>.yaml``.
 
     Raises:
-        UserError: No such algorithm, or a file that is not valid YAML.
+        UserError: The algorithm does not exist, or its file is not valid YAML.
     """
     return _shipped_file("algorithm", algo)
 
 
 def robot_layer(robot: str) -> Layer:
-    """Read ``robots/<robot>.yaml``, or a user's own file.
+    """Read ``robots/<robot>.yaml``, or a user's file.
 
     Args:
         robot: Name of a shipped robot, or a path that ends in .yaml or .yml.
 
     Raises:
-        UserError: No such robot, or a file that is not valid YAML.
+        UserError: The robot does not exist, or its file is not valid YAML.
     """
     return _own_file("robot", robot) if is_yaml_file(robot) else _shipped_file("robot", robot)
 
 
 def experiment_layer(experiment: str) -> Layer:
-    """Read ``experiments/<experiment>.yaml``, or a user's own file.
+    """Read ``experiments/<experiment>.yaml``, or a user's file.
 
     Args:
         experiment: Name of a shipped experiment, or a path that ends in .yaml or .yml.
 
     Raises:
-        UserError: No such experiment, or a file that is not valid YAML.
+        UserError: The experiment does not exist, or its file is not valid YAML.
     """
     if is_yaml_file(experiment):
         return _own_file("experiment", experiment)
@@ -110,7 +110,7 @@ def override_layer(override: str) -> Layer:
     """Parse one ``key=value`` of ``--set``, such as ``learner.ddpg.gamma=0.95``.
 
     Raises:
-        UserError: There is no key or no ``=``, or the value is not valid YAML.
+        UserError: The key or ``=`` is missing, or the value is not valid YAML.
     """
     key, equals, text = override.partition("=")
     parts = key.strip().split(".")
@@ -124,11 +124,11 @@ def override_layer(override: str) -> Layer:
 
 
 def option_layer(key: str, value: object) -> Layer:
-    """Setting that has an option of its own, such as ``--budget-minutes``.
+    """Setting of a command-line option, such as ``--budget-minutes``.
 
     Args:
         key: The setting.
-        value: Its value, not text to be parsed; None is off.
+        value: Its value, already parsed; None is off.
     """
     plain = value.item() if isinstance(value, np.generic) else value
     return Layer("--" + key.replace("_", "-"), {key: plain}, option=True)
@@ -139,7 +139,7 @@ def _own_file(kind: str, path: str) -> Layer:
 
 
 def _shipped_file(kind: str, name: str) -> Layer:
-    """Read a file of a folder that is named after its kind."""
+    """Read a shipped file, from the folder of its kind."""
     folder = f"{kind}s"
     files = {
         entry.name.removesuffix(_SUFFIX): entry
@@ -155,8 +155,8 @@ def _shipped_file(kind: str, name: str) -> Layer:
 def _unknown(kind: str, name: str, shipped: Iterable[str]) -> UserError:
     if os.sep in name and kind in _USERS_KINDS:
         return UserError(
-            f"unknown {kind} {name!r}: a path must be that of a YAML file, ending in .yaml or "
-            f".yml; the {kind}s with a name are: {', '.join(sorted(shipped))}"
+            f"unknown {kind} {name!r}: the path of a YAML file must end in .yaml or .yml; "
+            f"shipped {kind}s: {', '.join(sorted(shipped))}"
         )
     return unknown_name(kind, name, shipped)
 

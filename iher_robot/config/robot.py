@@ -1,4 +1,4 @@
-"""The robot of a run: a driver, and the options that a robot file gives it."""
+"""Choice of a robot: a driver and the options from a robot file."""
 
 from __future__ import annotations
 
@@ -10,30 +10,33 @@ from typing import Any
 
 from drivers import InvalidSpec
 from iher_robot.config.layers import is_yaml_file, robot_layer
+from iher_robot.config.paths import TLS_PATHS, resolve_paths
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.errors import UserError
 
 DEFAULT_DRIVER = "mujoco"
 REMOTE_DRIVER = "zenoh"
 OWN_ROBOT_FILE = "robot.yaml"
-"""A user's own robot, in the working folder."""
+"""Default robot file of a user, in the working folder."""
 
-# Of a driver not in here: its own defaults.
+# Other drivers use their own defaults.
 _DEFAULT_ROBOTS = {DEFAULT_DRIVER: "fetch", REMOTE_DRIVER: "fetch"}
 
-# What the environment decides itself; the rest of a file is for the driver to judge.
+# Keys that the environment sets itself; the driver checks all other keys.
 _NOT_OF_A_ROBOT = ("ask_human", "driver_name", "name", "render_mode", "scene", "task_name")
+
+_PATHS = ("password_file", *TLS_PATHS)
 
 
 @dataclass(frozen=True)
 class ChosenRobot:
-    """A robot as a run begins with it, whatever becomes of its file.
+    """A driver with the options of a robot, as read from its file.
 
     Attributes:
         driver: Name of the driver.
         name: Name of a shipped robot, for driver ``"zenoh"`` that of a robot on the network, or
             the path of a file; empty for the driver's own defaults.
-        options: What the file says, for the driver.
+        options: Options for the driver, from the file.
     """
 
     driver: str
@@ -42,12 +45,12 @@ class ChosenRobot:
 
     @property
     def title(self) -> str:
-        """Driver and robot in two words, such as ``"mujoco fetch"``."""
+        """Driver and robot, such as ``"mujoco fetch"``."""
         return f"{self.driver} {Path(self.name).stem}".rstrip()
 
     @property
     def command_options(self) -> str:
-        """What to add to a command so that it uses this robot; empty for the default one."""
+        """Command-line options that select this robot; empty for the default one."""
         words = [] if self.driver == DEFAULT_DRIVER else ["--driver", self.driver]
         if self.name != _DEFAULT_ROBOTS.get(self.driver, ""):
             words += ["--robot", self.name]
@@ -62,17 +65,17 @@ class ChosenRobot:
         render_mode: str | None = None,
         ask_human: Callable[[str], None] | None = None,
     ) -> GoalRobotEnv:
-        """Put a task on the robot, which is not yet connected.
+        """Make the environment of a task on this robot, not yet connected.
 
         Args:
             task: Name of the task.
             render_mode: ``"rgb_array"`` or None.
-            ask_human: Called with what a person has to do at a reset; returns when it is done
-                and hands are clear. Without it a reset that needs a person is an error.
+            ask_human: Called with the instruction for a person at a reset; returns when that is
+                done and hands are clear. Without it a reset that needs a person is an error.
 
         Raises:
             UserError: The robot does not fit the task, or cannot render.
-            DriverError: There is no such driver, or it does not take these options.
+            DriverError: The driver does not exist, or does not take these options.
         """
         try:
             return make_env(
@@ -90,19 +93,20 @@ def choose_robot(
     connect: Sequence[str] = (),
     default_driver: str = DEFAULT_DRIVER,
 ) -> ChosenRobot:
-    """Read the file of a robot.
+    """Choose a robot and read its file.
 
     Args:
-        driver: Name of the driver; where None what the robot's file names, or the default.
+        driver: Name of the driver; where None that of the robot's file, or the default.
         robot: Name of a shipped robot, for driver ``"zenoh"`` that of a robot on the network, or
             the path of a YAML file; the driver's default where None.
         connect: Where to reach a robot on the network, such as ``"tcp/10.0.0.7:7447"``; what
             its file says, or this machine, where empty.
-        default_driver: The driver that nobody has to name.
+        default_driver: Driver if neither the argument nor the file names one.
 
     Raises:
-        UserError: No such robot, no valid YAML, a key that is not the robot's, another driver
-            than the file names, or `connect` for a robot that is not on the network.
+        UserError: The robot does not exist, its file is not valid YAML, has a key that is not
+            allowed or names another driver, or `connect` is given for a robot that is not on the
+            network.
     """
     origin, options = "", {}
     named = driver
@@ -118,7 +122,7 @@ def choose_robot(
             f"use --driver {REMOTE_DRIVER}"
         )
     if chosen == REMOTE_DRIVER:
-        options = _beside_file(options, origin) if origin else {"robot": name}
+        options = resolve_paths(options, origin, _PATHS) if origin else {"robot": name}
         if connect:
             options["connect"] = list(connect)
     elif not origin and (robot is not None or name):
@@ -130,10 +134,10 @@ def choose_robot(
 def choose_own_robot(
     driver: str | None, robot: str | None, connect: Sequence[str] = ()
 ) -> ChosenRobot:
-    """Read the file of the robot that a command for real robots means.
+    """Choose the robot of a command for real robots.
 
-    Where neither driver nor robot is given it is ``robot.yaml`` in this folder, if there is one,
-    else ``fetch`` on the network; the arguments and errors are those of `choose_robot`.
+    Without driver and robot: ``robot.yaml`` in the working folder if it exists, else ``fetch`` on
+    the network. Arguments and errors are those of `choose_robot`.
     """
     if driver is None and robot is None and Path(OWN_ROBOT_FILE).is_file():
         robot = OWN_ROBOT_FILE
@@ -149,27 +153,13 @@ def _checked(origin: str, values: Mapping[Any, Any]) -> dict[str, Any]:
     return options
 
 
-def _named_driver(origin: str, named: object, asked: str | None) -> str | None:
-    """Return the driver that a robot's file names, which nothing else may contradict."""
+def _named_driver(origin: str, named: object, requested: str | None) -> str | None:
+    """Return the driver that a robot's file names; another requested one is an error."""
     if named is not None and (not isinstance(named, str) or not named):
         raise UserError(f"{origin}: driver is {named!r}, allowed: the name of a driver")
-    if asked is not None and named != asked:
+    if requested is not None and named != requested:
         raise UserError(
-            f"{origin}: driver is {named!r}, but {asked!r} is asked for; leave out --driver, or "
-            "give the file of another robot"
+            f"{origin}: driver is {named!r}, but {requested!r} was requested; leave out "
+            "--driver, or give the file of another robot"
         )
     return named
-
-
-def _beside_file(options: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """Find the files that a robot's file names: it says where they are from its own folder."""
-    folder = Path(file).absolute().parent
-    found = dict(options)
-    if isinstance(found.get("password_file"), str):
-        found["password_file"] = str(folder / found["password_file"])
-    if isinstance(found.get("tls"), Mapping):
-        found["tls"] = {
-            key: str(folder / value) if isinstance(value, str) else value
-            for key, value in found["tls"].items()
-        }
-    return found

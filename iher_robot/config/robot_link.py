@@ -1,4 +1,4 @@
-"""A robot as an operator reaches it, without a task."""
+"""Connection to a robot without a task."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from iher_robot.errors import UserError
 
 
 def link_of(robot: ChosenRobot) -> LinkOptions:
-    """Return how a robot on the network is reached.
+    """Return the link options of a robot on the network.
 
     Args:
         robot: The robot.
 
     Raises:
-        UserError: Another driver moves it, or its file says something that is not allowed.
+        UserError: The robot has another driver, or its file has a value that is not allowed.
     """
     if robot.driver != REMOTE_DRIVER:
         raise UserError(
-            f"driver is {robot.driver!r}, whose robot lives only as long as the command that runs "
-            f"it; this needs a served robot, driver {REMOTE_DRIVER!r}"
+            f"driver is {robot.driver!r}, whose robot exists only within its own process; this "
+            f"needs a served robot, driver {REMOTE_DRIVER!r}"
         )
     try:
         return link_options(robot.options)
@@ -34,14 +34,15 @@ def link_of(robot: ChosenRobot) -> LinkOptions:
 def make_robot(robot: ChosenRobot) -> RobotDriver:
     """Make the driver of a robot, not yet open.
 
-    Its scene is the one in force, or the first that a driver in this process has.
+    The scene is the one that is loaded, or the first one of a driver in this process.
 
     Args:
         robot: The robot.
 
     Raises:
-        UserError: Its file says something that is not allowed.
-        DriverError: There is no such driver, it takes no such options, or nobody answers.
+        UserError: Its file has a value that is not allowed.
+        DriverError: The driver does not exist or does not take these options, or the host does
+            not answer.
     """
     if robot.driver == REMOTE_DRIVER:
         return ZenohDriver(link_of(robot))

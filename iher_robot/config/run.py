@@ -37,7 +37,7 @@ _CHOSEN = {
 
 
 _CHANGES_NOTHING = ("simulators",)
-"""Settings that no number of a run depends on; it may go on with others."""
+"""Settings that do not affect the numbers of a run; a resumed run may change them."""
 
 
 class _Section(BaseModel):
@@ -45,45 +45,45 @@ class _Section(BaseModel):
 
 
 class EvaluationConfig(_Section):
-    """How the policy is judged while it trains."""
+    """Evaluation of the policy during training."""
 
     every_epochs: int = Field(default=1, ge=1)
     """Epochs from one evaluation to the next."""
     episodes: int = Field(default=40, ge=1)
     """Episodes of one evaluation in simulation."""
     robot_episodes: int = Field(default=10, ge=1)
-    """Episodes of one evaluation on a robot that has no simulator of its own."""
+    """Episodes of one evaluation on a robot without a simulator."""
     final_episodes: int = Field(default=100, ge=0)
-    """Fresh episodes for the policy that a run ends with, in simulation; 0 for none."""
+    """Fresh episodes that evaluate the final policy, in simulation; 0 for none."""
 
 
 class RunConfig(_Section):
-    """Everything that decides what a training run does."""
+    """Settings of a training run."""
 
     task: str = "push"
-    """What is learned."""
+    """Name of the task."""
     driver: str = "mujoco"
-    """What moves."""
+    """Name of the robot driver."""
     robot: str = ""
-    """Whose options the driver was given: a name, or the path of a file."""
+    """Name of the robot, or the path of its file."""
     robot_options: dict[str, Any] = {}
-    """These options, as they were read when the run began."""
+    """Options of the robot, as read when the run began."""
     preset: str = "default"
-    """Where the settings came from."""
+    """Name of the preset, or the path of its file."""
     algo: str = "iher"
-    """Which ingredients are switched on."""
+    """Name of the algorithm."""
     seed: int = Field(default=0, ge=0, lt=2**63)
-    """Decides every random draw."""
+    """Seed of every random draw."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where replay, models and policy live; auto takes a GPU if there is one."""
     threads: int = Field(default=1, ge=1, le=1024)
     """Threads of torch's matrix products on the CPU. With more than there are idle cores, waiting
     for a busy one costs most of the speed."""
     asynchronous: bool = False
-    """Learn in a process of its own while the robot collects the next epoch, instead of in turn."""
+    """Learn in a separate process while the robot collects the next epoch, instead of in turn."""
     simulators: int = Field(default=1, ge=1, le=64)
-    """Simulated robots that collect and are evaluated side by side, each in a process of its own;
-    what they do is the same for any number. 1 for any other robot."""
+    """Simulated robots that collect and evaluate in parallel, one process each; results do not
+    depend on the number. 1 for any other robot."""
     budget_minutes: float = Field(default=40.0, gt=0, le=1e6, allow_inf_nan=False)
     """Robot minutes: control ticks times the control period; at most about two years."""
     from_data: tuple[str, ...] = ()
@@ -91,8 +91,8 @@ class RunConfig(_Section):
     until_success: Annotated[float | None, OR_OFF] = Field(default=1.0, gt=0, le=1)
     """Stop early at this success rate; ``off`` spends the whole budget."""
     patience_minutes: float = Field(default=10.0, ge=0, allow_inf_nan=False)
-    """Wall-clock minutes to wait for a robot that is lost, taken or stopped; then the run ends and
-    can be resumed."""
+    """Wall-clock minutes to wait for a robot that is lost, in use by another client, or stopped;
+    then the run ends and can be resumed."""
     evaluation: EvaluationConfig = EvaluationConfig()
     learner: LearnerConfig = LearnerConfig()
 
@@ -163,6 +163,7 @@ def load_config(task: str, **options: Unpack[RunOptions]) -> RunConfig:
     Raises:
         UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
     """
+    check_options("load_config", options)
     task = canonical_name(task)
     preset, algo = options.get("preset", "default"), options.get("algo", "iher")
     layers = [
@@ -193,6 +194,17 @@ def load_config(task: str, **options: Unpack[RunOptions]) -> RunConfig:
     return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
 
 
+def check_options(function: str, options: RunOptions) -> None:
+    """Refuse options that a run does not have, as Python refuses unknown keyword arguments.
+
+    Raises:
+        TypeError: There is one.
+    """
+    for name in options:
+        if name not in RunOptions.__annotations__:
+            raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
+
+
 def _option_layers(options: RunOptions) -> Iterator[Layer]:
     values: Mapping[str, object] = options
     for key in _OPTIONS:
@@ -214,21 +226,21 @@ def dump_config(config: RunConfig) -> str:
 
 
 def plain_identity(config: RunConfig) -> dict[str, Any]:
-    """Every setting that a run depends on, as plain values."""
+    """Every setting that affects the numbers of a run, as plain values."""
     return config.model_dump(mode="json", exclude=set(_CHANGES_NOTHING))
 
 
 def dump_identity(config: RunConfig) -> str:
-    """Write every setting that a run depends on as YAML: the same for a run that may go on."""
+    """Write these settings as YAML, which a resumed run must match."""
     return format_yaml(plain_identity(config))
 
 
 def change_simulators(config: RunConfig, simulators: int) -> RunConfig:
-    """The same settings with another number of simulators.
+    """Replace the number of simulators.
 
     Args:
         config: Settings of a run.
-        simulators: The number, as the option gives it.
+        simulators: The new number.
 
     Raises:
         UserError: It is out of range.
@@ -238,7 +250,7 @@ def change_simulators(config: RunConfig, simulators: int) -> RunConfig:
 
 
 def read_config(path: Path) -> RunConfig:
-    """Read what ``dump_config`` wrote; the result equals the dumped settings exactly.
+    """Read settings from ``dump_config``, exactly as they were written.
 
     Raises:
         UserError: The file is missing, not valid YAML, or incomplete, or holds unknown keys, bad
@@ -248,7 +260,7 @@ def read_config(path: Path) -> RunConfig:
     given = _KEYS.flatten(layer)
     missing = [key for key in _KEYS.leaves if key not in (*given, *_CHANGES_NOTHING)]
     if missing:
-        # Not filled up with defaults: the run would go on as another one than it was.
+        # Defaults must not fill in: the run would continue with other settings.
         raise UserError(
             f"{path} has no {missing[0]}: it is damaged, or from another version of iher-robot; "
             "restore it as it was, or start a new run"
@@ -256,7 +268,7 @@ def read_config(path: Path) -> RunConfig:
     config = _resolve([layer])
     try:
         algorithm_layer(config.algo)
-        if not is_yaml_file(config.preset):  # one's own may be gone; its values are all here
+        if not is_yaml_file(config.preset):  # a user's file may be gone; all its values are here
             preset_layer(config.preset, config.task)
     except UserError as error:
         raise UserError(f"{path}: {error}") from error

@@ -1,4 +1,4 @@
-"""Sections of a manifest: typed, and a wrong one is told in one sentence."""
+"""Typed sections of an experiment manifest."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ Model = TypeVar("Model", bound=Section)
 
 
 def parse_section(model: type[Model], values: object, origin: str) -> Model:
-    """Check the keys and values of a section.
+    """Parse a section and check its keys and values.
 
     Args:
-        model: What it is.
-        values: As they are in the YAML.
-        origin: Where they are, for messages.
+        model: Type of the section.
+        values: Content of the YAML.
+        origin: Origin for messages.
 
     Raises:
-        UserError: It is no mapping, a key does not exist, or a value is not allowed.
+        UserError: The content is no mapping, a key does not exist or is missing, or a value is
+            not allowed.
     """
     if not isinstance(values, Mapping):
         raise UserError(f"{origin}: expected lines of 'key: value', not {values!r}")
@@ -40,7 +41,7 @@ def parse_section(model: type[Model], values: object, origin: str) -> Model:
     given = keys.flatten(layer)
     for key, field in keys.leaves.items():
         if field.is_required() and key not in given:
-            raise UserError(f"{origin}: it has no {key}: {field.description}")
+            raise UserError(f"{origin}: {key} is missing: {field.description}")
     try:
         # Through JSON, for its strict mode: a list is a tuple, but true is no number.
         text = json.dumps(keys.nest(given), default=str)

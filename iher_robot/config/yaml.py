@@ -1,4 +1,4 @@
-"""The YAML of settings: plain scalars of YAML 1.2, no aliases, nothing executed."""
+"""YAML of settings: scalars of YAML 1.2, no aliases, no code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def parse_mapping(text: bytes, origin: str) -> Mapping[Any, Any]:
     """Parse YAML whose top level is a mapping; an empty file is an empty mapping.
 
     Raises:
-        UserError: It is not, or not valid YAML.
+        UserError: The text is no mapping, or not valid YAML.
     """
     value = parse_value(text, origin)
     if value is None:
@@ -26,7 +26,7 @@ def parse_mapping(text: bytes, origin: str) -> Mapping[Any, Any]:
 
 
 def format_yaml(values: Mapping[str, Any]) -> str:
-    """Write settings so that parsing them gives the same values back."""
+    """Write settings as YAML that parses to the same values."""
     # In ASCII: PyYAML does not quote every Unicode line break.
     return yaml.dump(dict(values), Dumper=_Dumper, sort_keys=False, allow_unicode=False)
 
@@ -35,7 +35,7 @@ def parse_value(text: bytes, origin: str) -> Any:
     """Parse YAML.
 
     Raises:
-        UserError: It is not valid, or has aliases or a key twice.
+        UserError: The text is not valid, or has aliases or a duplicate key.
     """
     try:
         return yaml.load(text.decode(), Loader=_Loader)  # noqa: S506 (a SafeLoader)
@@ -51,7 +51,7 @@ def parse_value(text: bytes, origin: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML 1.2 scalars, no key twice, no aliases.
+    """Loader of YAML 1.2 scalars that refuses duplicate keys and aliases.
 
     YAML 1.1 would read ``off`` as false, ``1e-3`` as text, ``1:30`` as 90 and ``010`` as 8.
     Aliases could make a short file endless.
@@ -65,21 +65,21 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Refuse what SafeLoader silently overwrites."""
+        """Refuse duplicate keys, which SafeLoader silently overwrites."""
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.value in seen:
-                problem = f"key {key.value!r} twice, or no text"
+                problem = f"key {key.value!r} is duplicate or no text"
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes exactly what ``_Loader`` would not read as text."""
+    """Dumper that quotes exactly what ``_Loader`` would not read as text."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 (PyYAML's signature)
-        """Write equal values out each time."""
+        """Write every value in full."""
         return True
 
 

@@ -1,4 +1,4 @@
-"""What runs have collected: the application behind ``iher-robot data``."""
+"""List, verify and export the data of runs: the application of ``iher-robot data``."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from iher_robot.datasets.summary import (
     EpisodeReport,
     RunLine,
     RunReport,
-    line_of,
-    report_on,
-    report_on_episode,
+    describe_episode,
+    describe_run,
+    summarize_run,
 )
 from iher_robot.datasets.verify import Verification, check_run
 from iher_robot.errors import UserError
@@ -25,13 +25,13 @@ DEFAULT_FOLDER = Path("runs")
 
 
 def ls(folders: Sequence[Path] = ()) -> tuple[RunLine, ...]:
-    """List the runs in some folders; a folder that is a run itself is one.
+    """List the runs in some folders.
 
     Args:
-        folders: Where to look, by default in ``runs`` if it is there.
+        folders: Runs, or folders of runs; by default ``runs`` if it exists.
 
     Returns:
-        A line for each run, also for one that is damaged.
+        A line for each run, damaged ones included.
 
     Raises:
         UserError: A folder does not exist, or cannot be read.
@@ -41,12 +41,12 @@ def ls(folders: Sequence[Path] = ()) -> tuple[RunLine, ...]:
     lines = []
     for path in _find_runs(folders):
         with RunData(path) as run:
-            lines.append(line_of(run))
+            lines.append(summarize_run(run))
     return tuple(lines)
 
 
 def show(path: Path) -> RunReport:
-    """Say what the data of a run are.
+    """Describe the data of a run.
 
     Args:
         path: The run's folder.
@@ -55,7 +55,7 @@ def show(path: Path) -> RunReport:
         UserError: There is no run, or a part of it is damaged.
     """
     with RunData(path) as run:
-        return report_on(run)
+        return describe_run(run)
 
 
 def show_episode(path: Path, index: int) -> EpisodeReport:
@@ -63,26 +63,26 @@ def show_episode(path: Path, index: int) -> EpisodeReport:
 
     Args:
         path: The run's folder.
-        index: Place of the episode in the run, from 0.
+        index: Index of the episode in the run, from 0.
 
     Raises:
         UserError: There is no such run or episode, or it is damaged.
     """
     with RunData(path) as run:
-        return report_on_episode(run, index)
+        return describe_episode(run, index)
 
 
 def verify(paths: Iterable[Path]) -> Verification:
-    """Check the digest of every file of some runs, and that the parts of each belong together.
+    """Check the checksum of every file of some runs, and that the parts of each belong together.
 
     Args:
         paths: The runs' folders.
 
     Returns:
-        What is damaged.
+        The problems.
 
     Raises:
-        UserError: There is no run; nothing is checked then.
+        UserError: One is no run; nothing is checked.
     """
     found = Verification(0, 0, ())
     with ExitStack() as stack:
@@ -105,15 +105,15 @@ def export_minari(
         paths: The runs' folders.
         dataset: Name of the dataset, such as ``"iher/push-v0"``.
         root: Folder of all datasets; Minari's own by default.
-        account: Whose episodes: ``motion``, ``evaluation`` or ``all``.
-        overwrite: Replace a dataset that is there.
+        account: Account of the episodes: ``motion``, ``evaluation`` or ``all``.
+        overwrite: Replace an existing dataset.
 
     Returns:
-        What was written.
+        The size of the dataset.
 
     Raises:
-        UserError: The runs are damaged or do not go together, the extra ``data`` is missing, or
-            the dataset is there or cannot be written. Nothing of it is left then.
+        UserError: The runs are damaged or do not belong together, the extra ``data`` is missing,
+            or the dataset exists or cannot be written. Nothing is written.
     """
     with select(paths, account) as selection:
         return write_minari(selection, dataset=dataset, root=root, overwrite=overwrite)
@@ -131,15 +131,15 @@ def export_parquet(
     Args:
         paths: The runs' folders.
         out: The file.
-        account: Whose episodes: ``motion``, ``evaluation`` or ``all``.
-        overwrite: Replace a file that is there.
+        account: Account of the episodes: ``motion``, ``evaluation`` or ``all``.
+        overwrite: Replace an existing file.
 
     Returns:
-        What was written.
+        The size of the file.
 
     Raises:
-        UserError: The runs are damaged or do not go together, the extra ``data`` is missing, or
-            the file is there or cannot be written. Nothing of it is left then.
+        UserError: The runs are damaged or do not belong together, the extra ``data`` is missing,
+            or the file exists or cannot be written. Nothing is written.
     """
     with select(paths, account) as selection:
         return write_parquet(selection, out=out, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""Real data as a Minari dataset; `MinariEpisodes` says what an episode of it is."""
+"""Export to a Minari dataset; `MinariEpisodes` defines its episodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from iher_robot.config.robot import DEFAULT_DRIVER
 from iher_robot.datasets.minari_episodes import MinariEpisodes
-from iher_robot.datasets.selection import NEEDED, Selection
+from iher_robot.datasets.selection import INSTALL_COMMAND, Selection
 from iher_robot.datasets.summary import counted
 from iher_robot.env.registration import ENV_IDS
 from iher_robot.errors import UserError
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
 ROOT_VARIABLE = "MINARI_DATASETS_PATH"
-"""What Minari looks for its datasets by."""
+"""Environment variable for the folder of all Minari datasets."""
 
 _NAME = re.compile(r"(?:[-_\w]+/)*[-_\w]+-v\d+", re.ASCII)
 
 
 @dataclass(frozen=True)
 class MinariResult:
-    """What was written.
+    """Size of a Minari dataset.
 
     Attributes:
         dataset: Name of the dataset.
         root: Folder of all datasets, None for Minari's own.
         episodes: Episodes in it.
         ticks: Steps in it.
-        left_out_ticks: Ticks that are not valid, and left out.
+        left_out_ticks: Invalid ticks, which were left out.
     """
 
     dataset: str
@@ -69,11 +69,11 @@ def write_minari(
         selection: The episodes.
         dataset: Name of the dataset, such as ``"iher/push-v0"``.
         root: Folder of all datasets; by default Minari's own.
-        overwrite: Replace a dataset that is there.
+        overwrite: Replace an existing dataset.
 
     Raises:
-        UserError: The name is none, the extra ``data`` is missing, an episode is damaged, or the
-            dataset is there or cannot be written; nothing of it is left then.
+        UserError: The name is not allowed, the extra ``data`` is missing, an episode is damaged,
+            or the dataset exists or cannot be written. Nothing is written.
     """
     if not _NAME.fullmatch(dataset):
         raise UserError(
@@ -81,7 +81,7 @@ def write_minari(
             "end, such as push-v0 or iher/push-v0"
         )
     path = _root(root) / dataset
-    _require_place(path, overwrite=overwrite)
+    _check_target(path, overwrite=overwrite)
     _require_packages()
     from minari.dataset.minari_storage import MinariStorage
 
@@ -104,13 +104,13 @@ def write_minari(
     return MinariResult(dataset, root, len(cut.metadata), ticks, cut.left_out_ticks)
 
 
-def _require_place(path: Path, *, overwrite: bool) -> None:
+def _check_target(path: Path, *, overwrite: bool) -> None:
     if not path.exists():
         return
     if not (path / "data" / "metadata.json").is_file():
-        raise UserError(f"{path} is there, and no dataset of Minari; choose another --dataset")
+        raise UserError(f"{path} exists and is no dataset of Minari; choose another --dataset")
     if not overwrite:
-        raise UserError(f"{path} is there already; choose another --dataset, or say --overwrite")
+        raise UserError(f"{path} already exists; choose another --dataset, or use --overwrite")
 
 
 def _root(root: Path | None) -> Path:
@@ -122,16 +122,16 @@ def _root(root: Path | None) -> Path:
 
 def _require_packages() -> None:
     try:
-        import h5py  # noqa: F401 (Minari imports it too late to say so)
+        import h5py  # noqa: F401 (Minari itself imports it too late for a clear error)
         import minari  # noqa: F401
     except ImportError as error:
         raise UserError(
-            f"Minari datasets need minari and h5py (the extra 'data'): {NEEDED}"
+            f"Minari datasets need minari and h5py (the extra 'data'): {INSTALL_COMMAND}"
         ) from error
 
 
 def _spaces(selection: Selection) -> tuple[spaces.Dict, spaces.Box]:
-    """Those of `GoalRobotEnv`, of which none is made: its robot may be away."""
+    """Spaces of `GoalRobotEnv`, which is not made: its robot may be out of reach."""
     _, first = next(selection.episodes())
     goal = spaces.Box(-np.inf, np.inf, (selection.task.goal_dim,), np.float64)
     observation = spaces.Box(-np.inf, np.inf, (selection.task.layout.obs_dim,), np.float64)
@@ -145,9 +145,9 @@ def _spaces(selection: Selection) -> tuple[spaces.Dict, spaces.Box]:
 
 
 def _env_spec(selection: Selection) -> EnvSpec | None:
-    """The environment of the runs, if they have the same one and it is simulated.
+    """The environment of the runs, if all have the same simulated one.
 
-    Nobody should move a real robot by recovering the environment of a dataset.
+    Recovering the environment of a dataset must never move a real robot.
     """
     first, *others = (run.config.chosen_robot for run in selection.runs.values())
     if first.driver != DEFAULT_DRIVER or any(other != first for other in others):
@@ -177,8 +177,8 @@ def _metadata(selection: Selection, dataset: str) -> Mapping[str, Any]:
         "code_permalink": f"iher-robot {__version__}, commit {', '.join(commits)}",
         "description": (
             f"Task {described['task']} on {', '.join(robots)}, as it was learned. Actions are "
-            "those that were applied; the requested ones are in infos. Episodes are cut at ticks "
-            "that are not valid."
+            "the applied ones; the requested ones are in infos. Episodes are cut at invalid "
+            "ticks."
         ),
         "requirements": ["iher-robot"],
         "eval_env_spec": _registered(selection).to_json(),

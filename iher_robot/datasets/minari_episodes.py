@@ -1,18 +1,17 @@
-"""Stored episodes as Minari has them.
+"""Conversion of stored episodes to episodes of Minari.
 
-A Minari episode is a run of valid ticks of a stored one: where a tick is not valid it ends, and
-the next one begins after it, so that no transition spans one. Observations are those of
-`GoalRobotEnv`, actions those that were applied, rewards the task's own. Nothing ever terminates;
-the last step is truncated. What Minari calls infos has, as always there, one entry more than there
-are steps, the first of them for the observation that the episode begins with:
+A Minari episode is a maximal run of valid ticks of a stored episode, so that no transition spans
+an invalid one. Observations are those of `GoalRobotEnv`, actions the applied ones, rewards the
+task's own. No step is terminal; the last one is truncated. Infos have one entry more than there
+are steps, as always in Minari; the first belongs to the initial observation:
 
 - ``is_success``: Whether the observation is at the goal.
-- ``action_requested``: The action that was asked for in the step that led there; NaN at first.
+- ``action_requested``: The action requested in the step before; NaN in the first entry.
 - ``tick``: Ticks of the stored episode before the observation.
-- ``seq``: The robot's own tick counter at the observation.
+- ``seq``: The robot's tick counter at the observation.
 
-An episode's metadata say its ``run``, ``stored_episode``, ``epoch``, ``account``, ``told_source``
-and how the stored one ``ended``; its ``seed`` is there where it begins with a reset.
+The metadata of an episode hold ``run``, ``stored_episode``, ``epoch``, ``account``,
+``told_source`` and ``ended`` of the stored one, and its ``seed`` if it begins with a reset.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ if TYPE_CHECKING:
 
 
 class MinariEpisodes:
-    """Cuts stored episodes into those of Minari, one after the other.
+    """Cuts stored episodes into episodes of Minari.
 
     Attributes:
-        metadata: Of each Minari episode so far.
-        left_out_ticks: Ticks so far that are in none.
+        metadata: Metadata of each Minari episode so far.
+        left_out_ticks: Ticks so far that are in no Minari episode.
     """
 
     def __init__(self, model: GoalModel) -> None:
@@ -44,7 +43,7 @@ class MinariEpisodes:
         self.left_out_ticks = 0
 
     def buffers(self, episodes: Iterator[tuple[str, StoredEpisode]]) -> Iterator[EpisodeBuffer]:
-        """Cut all of them."""
+        """Cut stored episodes, each given with the name of its run."""
         for name, stored in episodes:
             first, valid = 0, stored.episode.valid
             self.left_out_ticks += int((~valid).sum())
@@ -77,7 +76,7 @@ class MinariEpisodes:
                 "is_success": self._model.is_success(achieved, goal),
                 "action_requested": np.concatenate([never, segment.requested_actions]),
                 "tick": np.arange(first, first + length + 1),
-                # A valid tick follows the one before it, so that the counter was one less then.
+                # A valid tick directly follows the one before it, whose counter was one less.
                 "seq": np.concatenate([seqs[:1] - 1, seqs]),
             },
         )

@@ -1,4 +1,4 @@
-"""What came of a stored episode."""
+"""Goals, rewards and success of a stored episode."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def achieved_goals(stored: StoredEpisode, model: GoalModel) -> NDArray[np.floati
 
 
 def rewards(stored: StoredEpisode, model: GoalModel) -> NDArray[np.floating]:
-    """The task's own sparse reward of each tick, 0 or -1. ``(length,)``"""
+    """The task's sparse reward of each tick, 0 or -1. ``(length,)``"""
     return model.compute_reward(achieved_goals(stored, model), stored.episode.desired_goal)
 
 
@@ -26,12 +26,12 @@ def reached(stored: StoredEpisode, model: GoalModel) -> NDArray[np.bool_]:
 
 
 def succeeded(stored: StoredEpisode, model: GoalModel) -> bool:
-    """Whether an episode ran to its end, and its last tick ended at the goal."""
+    """Whether an episode ran to its last tick and ended at the goal."""
     return stored.ended == DONE and bool(reached(stored, model)[-1])
 
 
 def clipped(stored: StoredEpisode) -> NDArray[np.bool_]:
-    """Whether a tick is valid, but the action applied not the requested one. ``(length,)``"""
+    """Whether a tick is valid, but its applied action is not the requested one. ``(length,)``"""
     episode = stored.episode
     requested = np.clip(episode.requested_actions, -1.0, 1.0)
     differs: NDArray[np.bool_] = (requested != episode.actions).any(axis=-1)

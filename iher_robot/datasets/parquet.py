@@ -1,7 +1,6 @@
-"""Real data as a Parquet file: one row for each tick, valid or not.
+"""Export to a Parquet file: one row for each tick, valid or not.
 
-The columns are those of ``_schema``. All numbers are as they were stored: arrays of float32 are
-widened to float64, which changes none.
+``_schema`` lists the columns. Numbers are exact: arrays of float32 are widened to float64.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iher_robot.datasets.outcome import achieved_goals, reached, rewards
-from iher_robot.datasets.selection import NEEDED, Selection
+from iher_robot.datasets.selection import INSTALL_COMMAND, Selection
 from iher_robot.datasets.summary import counted
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import StoredEpisode
@@ -28,20 +27,20 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 METADATA_KEY = "iher_robot"
-"""Where the file's metadata, JSON, say what the columns mean and where they are from."""
+"""Key of the file's metadata: JSON with the meaning and the provenance of the columns."""
 
-_EPISODES_IN_A_GROUP = 1000
+_EPISODES_PER_GROUP = 1000
 
 
 @dataclass(frozen=True)
 class ParquetResult:
-    """What was written.
+    """Size of a Parquet file.
 
     Attributes:
         path: The file.
         episodes: Episodes in it.
-        ticks: Rows.
-        invalid_ticks: Those that may not be learned from.
+        ticks: Rows in it.
+        invalid_ticks: Rows that may not be learned from.
     """
 
     path: Path
@@ -63,48 +62,50 @@ def write_parquet(selection: Selection, *, out: Path, overwrite: bool = False) -
     Args:
         selection: The episodes.
         out: The file.
-        overwrite: Replace a file that is there.
+        overwrite: Replace an existing file.
 
     Raises:
-        UserError: The extra ``data`` is missing, an episode is damaged, or the file is there or
-            cannot be written; nothing of it is left then.
+        UserError: The extra ``data`` is missing, an episode is damaged, or the file exists or
+            cannot be written. Nothing is written.
     """
-    _require_place(out, overwrite=overwrite)
+    _check_target(out, overwrite=overwrite)
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise UserError(f"Parquet files need pyarrow (the extra 'data'): {NEEDED}") from error
-    model, counted = selection.task.goal_model, _Counted()
+        raise UserError(
+            f"Parquet files need pyarrow (the extra 'data'): {INSTALL_COMMAND}"
+        ) from error
+    model, counter = selection.task.goal_model, _Counter()
     schema = _schema(selection)
-    episodes = counted.pass_on(selection.episodes())
+    episodes = counter.count(selection.episodes())
 
     def write(file: Any) -> None:
         with pq.ParquetWriter(file, schema, compression="zstd") as writer:
-            while group := list(itertools.islice(episodes, _EPISODES_IN_A_GROUP)):
+            while group := list(itertools.islice(episodes, _EPISODES_PER_GROUP)):
                 batches = [_rows(name, stored, model, schema) for name, stored in group]
                 writer.write_table(pa.Table.from_batches(batches, schema))
 
     write_atomically(out, write)
-    return ParquetResult(out, counted.episodes, counted.ticks, counted.invalid_ticks)
+    return ParquetResult(out, counter.episodes, counter.ticks, counter.invalid_ticks)
 
 
-def _require_place(out: Path, *, overwrite: bool) -> None:
+def _check_target(out: Path, *, overwrite: bool) -> None:
     if out.is_dir():
-        raise UserError(f"--out is {out}, allowed: a file, and that is a folder")
+        raise UserError(f"--out is {out}, which is a folder, allowed: a file")
     if not out.absolute().parent.is_dir():
-        raise UserError(f"--out is {out}, but there is no folder {out.parent}; make it first")
+        raise UserError(f"--out is {out}, but there is no folder {out.parent}; create it first")
     if out.exists() and not overwrite:
-        raise UserError(f"{out} is there already; choose another --out, or say --overwrite")
+        raise UserError(f"{out} already exists; choose another --out, or use --overwrite")
 
 
-class _Counted:
-    """Counts episodes as they pass."""
+class _Counter:
+    """Counts the episodes of an iterator."""
 
     def __init__(self) -> None:
         self.episodes = self.ticks = self.invalid_ticks = 0
 
-    def pass_on(
+    def count(
         self, episodes: Iterator[tuple[str, StoredEpisode]]
     ) -> Iterator[tuple[str, StoredEpisode]]:
         for name, stored in episodes:

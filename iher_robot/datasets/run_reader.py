@@ -1,4 +1,4 @@
-"""The real data of a run, read without changing anything."""
+"""Read-only access to the real data of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from iher_robot.config.run import RunConfig, read_config
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account, read_accounts
 from iher_robot.storage.episode import StoredEpisode, read_episode
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.files.atomic import read_file
 from iher_robot.storage.interface import read_interface
 from iher_robot.storage.provenance import read_provenance
@@ -24,12 +24,12 @@ from tasks import GoalTask, make_task
 
 @dataclass(frozen=True)
 class RobotOfRun:
-    """What a run keeps of its robot.
+    """The robot of a run, as the run recorded it.
 
     Attributes:
-        spec: The robot's description, plain JSON data.
+        spec: The robot's description, JSON values.
         interface_digest: Digest of what must match between a policy and a robot.
-        body_digest: Digest of what distinguishes one body from another.
+        body_digest: Digest of what distinguishes robots with the same interface.
     """
 
     spec: Mapping[str, Any]
@@ -38,26 +38,26 @@ class RobotOfRun:
 
     @property
     def control_period_s(self) -> float:
-        """Time of one control tick."""
+        """Length of a control tick."""
         return float(self.spec["control_period_s"])
 
 
 class RunData(Closing):
-    """What the folder of a run holds; every part is read when it is first asked for.
+    """Data in the folder of a run; each part is read on first access.
 
-    Episodes are those that were stored by then, even while the run goes on.
+    While the run is in progress, episodes are those stored at that moment.
 
     Args:
         path: The run's folder.
 
     Raises:
-        UserError: There is no run. Each part raises it where it is missing or damaged.
+        UserError: There is no run. A part that is missing or damaged raises it on access.
     """
 
     def __init__(self, path: Path) -> None:
         if not is_run(path):
             raise UserError(
-                f"there is no run at {path}: name a folder that iher-robot train made, see "
+                f"there is no run at {path}; give a folder that iher-robot train made, see "
                 "iher-robot data ls"
             )
         self.path = path
@@ -95,13 +95,13 @@ class RunData(Closing):
             raise UserError(
                 f"the data in {directory} are of task {found['task']!r} and layout "
                 f"{found['layout_digest']}, and {self.directory.config_path} is of "
-                f"{self.task.name!r} and {layout.digest()}; put back what belongs together"
+                f"{self.task.name!r} and {layout.digest()}; restore the files that belong together"
             )
         return RobotOfRun(found["spec"], found["interface_digest"], found["body_digest"])
 
     @property
     def last_change(self) -> datetime:
-        """When something was last written, in local time."""
+        """Time of the last write, in local time."""
         folders = [self.path, self.directory.episodes_path]
         files = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
         newest = max((file.stat().st_mtime for file in [self.path, *files]), default=0.0)
@@ -115,14 +115,14 @@ class RunData(Closing):
         """Read an episode.
 
         Args:
-            index: Place in the store, from 0.
+            index: Index in the store, from 0.
 
         Raises:
-            UserError: There is no such episode, or it is damaged, or of another task.
+            UserError: There is no such episode, it is damaged, or it is of another task.
         """
         count = len(self)
         if self._reader is None or not 0 <= index < count:
-            allowed = f"0 to {count - 1}" if count else "none, for nothing is stored yet"
+            allowed = f"0 to {count - 1}" if count else "none, nothing is stored yet"
             raise UserError(f"episode is {index}, allowed in {self.path}: {allowed}")
         stored = self._reader.load(index)
         self.require_own_task(stored)
@@ -133,18 +133,18 @@ class RunData(Closing):
         return (self.load(index) for index in range(len(self)))
 
     def require_own_task(self, stored: StoredEpisode) -> None:
-        """Check that an episode has the observations and goals of the run's task.
+        """Check that observations and goals of an episode have the shapes of the run's task.
 
         Raises:
-            UserError: It has others.
+            UserError: They have others.
         """
         shapes = stored.episode.observations.shape[1:], stored.episode.desired_goal.shape
         expected = (self.task.layout.obs_dim,), (self.task.goal_dim,)
         if shapes != expected:
             raise UserError(
                 f"episode {stored.index} of {self.path} has observations and a goal of shapes "
-                f"{shapes}, those of task {self.task.name!r} are {expected}; put the run's own "
-                "config.yaml or episodes back"
+                f"{shapes}, those of task {self.task.name!r} are {expected}; restore the run's own "
+                "config.yaml or episodes"
             )
 
     def close(self) -> None:
@@ -159,16 +159,16 @@ class RunData(Closing):
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder is that of a run, damaged or not."""
+    """Whether a folder holds a run, damaged or not."""
     directory = RunDirectory(path)
     return directory.config_path.is_file() or directory.episodes_path.is_dir()
 
 
 def examine_store(directory: Path) -> Iterator[StoredEpisode | UserError]:
-    """Read every episode of a folder that can be read; of others, what is wrong.
+    """Read every episode of a folder, or the error where one cannot be read.
 
     Args:
-        directory: Folder of episodes; one that does not exist holds none.
+        directory: Folder of episodes; a missing one counts as empty.
     """
     if not directory.is_dir():
         return
@@ -200,4 +200,4 @@ def _each(
 
 def _number(path: Path) -> int:
     digits = path.stem.removeprefix("episode-")
-    return int(digits) if digits.isdecimal() else -1  # no episode has that number
+    return int(digits) if digits.isdecimal() else -1  # an index that no episode has

@@ -1,4 +1,4 @@
-"""Which episodes are exported together, and what is said of all of them."""
+"""Selection of the episodes to export, and their common metadata."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from tasks import GoalTask
 
 ExportAccount = Literal["motion", "evaluation", "all"]
 
-NEEDED = "pip install 'iher-robot[data]'"
-"""How the packages of the exports are installed."""
+INSTALL_COMMAND = "pip install 'iher-robot[data]'"
+"""Installs the packages that exports need."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Episodes of one task, out of one or several runs.
+    """Episodes of one task from one or more runs.
 
     Attributes:
-        runs: The runs, by the name that their episodes bear.
-        account: Which of their episodes.
+        runs: The runs, by their name in the export.
+        account: Account of the episodes.
     """
 
     runs: Mapping[str, RunData]
@@ -43,7 +43,7 @@ class Selection:
         """Read the episodes, each with the name of its run.
 
         Raises:
-            UserError: One is damaged.
+            UserError: An episode is damaged.
         """
         for name, run in self.runs.items():
             for stored in run.episodes():
@@ -51,7 +51,7 @@ class Selection:
                     yield name, stored
 
     def describe(self) -> dict[str, Any]:
-        """What holds for all, and for each run by its name; plain JSON data.
+        """Metadata of the task and of each run, JSON values.
 
         Raises:
             UserError: A part of a run is damaged.
@@ -72,7 +72,7 @@ class Selection:
 
 @contextmanager
 def select(paths: Sequence[Path], account: str) -> Iterator[Selection]:
-    """Open runs whose episodes go together.
+    """Open runs to be exported together.
 
     Args:
         paths: The runs' folders.
@@ -82,8 +82,8 @@ def select(paths: Sequence[Path], account: str) -> Iterator[Selection]:
         Their episodes.
 
     Raises:
-        UserError: There is no run, one is given twice or damaged, they are of different tasks or
-            their actions mean different things, or they hold no such episode.
+        UserError: A run is missing, damaged or given twice, tasks or actions of the runs differ,
+            or they hold no such episode.
     """
     accounts: tuple[ExportAccount, ...] = get_args(ExportAccount)
     if account not in accounts:
@@ -101,11 +101,11 @@ def select(paths: Sequence[Path], account: str) -> Iterator[Selection]:
 
 
 def _by_name(runs: Sequence[RunData]) -> dict[str, RunData]:
-    """The folder's name where no two runs share it, else the whole path."""
+    """Name each run by its folder, or by its whole path where two folders have the same name."""
     paths = [run.path.resolve() for run in runs]
     for path, count in Counter(paths).items():
         if count > 1:
-            raise UserError(f"{path} is given {count} times; name each run once")
+            raise UserError(f"{path} is given {count} times; give each run once")
     names = Counter(path.name for path in paths)
     return {
         path.name if names[path.name] == 1 else str(path): run
@@ -119,24 +119,24 @@ def _require_one_task(runs: Sequence[RunData]) -> None:
         if run.task.name != first.task.name:
             raise UserError(
                 f"{first.path} is of task {first.task.name!r}, {run.path} of {run.task.name!r}; "
-                "export the runs of each task on their own"
+                "export the runs of each task separately"
             )
-        if None not in (run.robot, first.robot) and _meaning(run) != _meaning(first):
+        if None not in (run.robot, first.robot) and _action_meaning(run) != _action_meaning(first):
             raise UserError(
                 f"the actions of {first.path} and {run.path} mean different things "
-                f"({_meaning(first)} and {_meaning(run)}); export each on its own"
+                f"({_action_meaning(first)} and {_action_meaning(run)}); export each separately"
             )
 
 
-def _meaning(run: RunData) -> dict[str, Any]:
-    """What an action is and how long it lasts."""
+def _action_meaning(run: RunData) -> dict[str, Any]:
+    """Names and scales of the actions, and the control period."""
     assert run.robot is not None
     return {**run.robot.spec["action"], "control_period_s": run.robot.control_period_s}
 
 
 def _describe(run: RunData) -> dict[str, Any]:
     config, robot = run.config, run.robot
-    known = {} if robot is None else _meaning(run)
+    known = {} if robot is None else _action_meaning(run)
     return {
         "algo": config.algo,
         "preset": config.preset,

@@ -1,4 +1,4 @@
-"""A run's data in words and numbers, for a person."""
+"""Summaries of runs and episodes for display."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from iher_robot.datasets.run_reader import RunData
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import StoredEpisode
+from iher_robot.storage.robot_time import RobotTime
 from tasks import GoalModel, ObservationLayout
 
-# By the end of an entry's name: the tasks give velocities as displacements in a tick.
+# By suffix of an entry's name. The tasks observe velocities as displacements per tick.
 _UNITS = {"_angvel": "rad/tick", "_vel": "m/tick", "_euler": "rad", "_pos": "m", "_rel": "m"}
 
 
 @dataclass(frozen=True)
 class RunLine:
-    """A run in one line.
+    """One line about a run.
 
     Attributes:
-        path: Its folder.
-        last_change: When something in it was last written.
-        problem: Why it cannot be read, empty if it can; then the rest is left empty.
+        path: The run's folder.
+        last_change: Time of the last write in it.
+        problem: Why it cannot be read; then the fields below are empty. Empty if it can.
         task: Name of the task.
         robot: Driver and robot.
         algo: Name of the algorithm.
         preset: Name of the preset.
         seed: Seed of the run.
         episodes: Stored episodes.
-        successes: Those that succeeded.
-        robot_time: Time on the robot, by account with episodes.
+        successes: Episodes that succeeded.
+        robot_time: Robot time of each account that has episodes.
     """
 
     path: Path
@@ -58,12 +59,12 @@ class EpisodeGroup:
     """The episodes of an account and an epoch.
 
     Attributes:
-        account: What they were charged to.
-        epoch: When they were collected.
-        episodes: How many.
+        account: Account that they were charged to.
+        epoch: Epoch in which they were collected.
+        episodes: Number of episodes.
         ticks: Stored ticks.
-        invalid_ticks: Those that may not be learned from.
-        clipped_ticks: Valid ones whose applied action is not the requested one.
+        invalid_ticks: Ticks that may not be learned from.
+        clipped_ticks: Valid ticks whose applied action is not the requested one.
         mean_return: Mean sum of rewards.
         successes: Episodes that succeeded.
     """
@@ -80,11 +81,11 @@ class EpisodeGroup:
 
 @dataclass(frozen=True)
 class RunReport:
-    """What the data of a run are.
+    """Description of a run's data.
 
     Attributes:
-        title: The run in words.
-        facts: What is known of it, by name, in words.
+        title: Task, robot, algorithm, preset and seed.
+        facts: Further facts by name.
         groups: Its episodes, by account and epoch.
     """
 
@@ -98,10 +99,10 @@ class EpisodeReport:
     """An episode, tick by tick.
 
     Attributes:
-        title: The episode in words.
+        title: Task, account, seed, ending and goal.
         stored: The episode.
         achieved: The goal that each tick achieved, m. ``(length, goal_dim)``
-        distance: From there to the goal, m. ``(length,)``
+        distance: Distance from there to the goal, m. ``(length,)``
     """
 
     title: str
@@ -110,8 +111,8 @@ class EpisodeReport:
     distance: NDArray[np.floating]
 
 
-def line_of(run: RunData) -> RunLine:
-    """Put a run into one line, even a damaged one."""
+def summarize_run(run: RunData) -> RunLine:
+    """Summarize a run, even a damaged one."""
     try:
         config, stored = run.config, list(run.episodes())
         return RunLine(
@@ -130,8 +131,8 @@ def line_of(run: RunData) -> RunLine:
         return RunLine(path=run.path, last_change=run.last_change, problem=str(error))
 
 
-def report_on(run: RunData) -> RunReport:
-    """Say what the data of a run are.
+def describe_run(run: RunData) -> RunReport:
+    """Describe the data of a run.
 
     Raises:
         UserError: A part of the run is damaged.
@@ -156,12 +157,12 @@ def report_on(run: RunData) -> RunReport:
     )
 
 
-def report_on_episode(run: RunData, index: int) -> EpisodeReport:
-    """Show an episode tick by tick.
+def describe_episode(run: RunData, index: int) -> EpisodeReport:
+    """Describe an episode tick by tick.
 
     Args:
         run: The run.
-        index: Place of the episode in it, from 0.
+        index: Index of the episode in the run, from 0.
 
     Raises:
         UserError: There is no such episode, or it is damaged.
@@ -182,19 +183,19 @@ def report_on_episode(run: RunData, index: int) -> EpisodeReport:
 
 
 def units(layout: ObservationLayout) -> dict[str, str]:
-    """Unit of each entry of an observation, where its name tells it."""
+    """Unit of each entry of an observation, as far as its name implies one."""
     endings = {name: [end for end in _UNITS if name.endswith(end)] for name in layout.names}
     return {name: _UNITS[ends[0]] for name, ends in endings.items() if ends}
 
 
 def goal_entry(model: GoalModel) -> str:
-    """Name of the entry of an observation that is compared with the goal."""
+    """Name of the observation entry that is compared with the goal."""
     layout = model.layout
     return next(name for name in layout.names if layout.entries(name) == model.achieved_entries)
 
 
 def counted(count: int, name: str) -> str:
-    """A number of things in words, such as ``"1 episode"`` or ``"12 ticks"``."""
+    """A number with its noun, such as ``"1 episode"`` or ``"12 ticks"``."""
     return f"{count} {name}{'' if count == 1 else 's'}"
 
 
@@ -203,8 +204,8 @@ def _robot_time(run: RunData, stored: Iterable[StoredEpisode]) -> str:
         return ""
     parts = []
     for account in sorted({one.account for one in stored}, key=_motion_first):
-        minutes = run.spent_ticks[account] * run.robot.control_period_s / 60.0
-        parts.append(f"{account} {minutes:.2f} min")
+        spent = RobotTime(run.spent_ticks[account], run.robot.control_period_s)
+        parts.append(f"{account} {spent.minutes:.2f} min")
     return ", ".join(parts)
 
 
@@ -224,13 +225,13 @@ def _in_brackets(unit: str | None) -> str:
 
 def _interface(run: RunData) -> str:
     if run.robot is None:
-        return "not known before the run has begun"
+        return "unknown before the run has begun"
     return run.robot.interface_digest
 
 
 def _provenance(document: Mapping[str, Any]) -> str:
     if not document:
-        return "not known before the run has begun"
+        return "unknown before the run has begun"
     changed = " and changes" if document.get("dirty") else ""
     times = len(document.get("resumed", ()))
     resumed = f", resumed {times} times" if times else ""

@@ -1,4 +1,4 @@
-"""Tables of what runs have collected."""
+"""Tables of runs, episodes and robot time."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from iher_robot.datasets.robot_time import Spending
+from iher_robot.datasets.spending import Spending
 from iher_robot.datasets.summary import EpisodeGroup, EpisodeReport, RunLine, RunReport
+from iher_robot.storage.robot_time import RobotTime
 
-_COLUMNS_OF_A_FILE = 240
-_LEFT = {"run", "task", "robot", "algorithm", "robot time", "last change", "account"}
+_FILE_WIDTH = 240
+_LEFT_ALIGNED = {"run", "task", "robot", "algorithm", "robot time", "last change", "account"}
 
 
 def print_tables(shown: RenderableType) -> None:
-    """Print to a terminal in its width; elsewhere every row stays one line."""
+    """Print in the width of the terminal; in a file every row stays one line."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_COLUMNS_OF_A_FILE)
+        console = Console(highlight=False, width=_FILE_WIDTH)
     console.print(shown)
 
 
 def runs_table(lines: Iterable[RunLine]) -> RenderableType:
-    """One row for each run; what is wrong with damaged ones stands below."""
+    """One row for each run; problems of damaged ones below."""
     columns = "run task robot algorithm seed episodes".split()
     table = _table(*columns, "robot time", "success", "last change")
     problems = []
@@ -44,7 +45,7 @@ def runs_table(lines: Iterable[RunLine]) -> RenderableType:
 
 
 def run_table(report: RunReport) -> RenderableType:
-    """What is known of a run, and one row for each account and epoch."""
+    """Facts of a run, and one row for each account and epoch."""
     facts = Table.grid(padding=(0, 2))
     for name, fact in report.facts.items():
         _add(facts, name, fact)
@@ -79,17 +80,14 @@ def episode_table(report: EpisodeReport) -> RenderableType:
 def spending_table(spending: Spending) -> RenderableType:
     """One row for each account, and what is left of the budget."""
     table = _table("account", "ticks", "robot minutes")
-    for account, ticks in spending.spent_ticks.items():
-        _add(table, account, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
-    left = spending.left_ticks
-    if left is not None and spending.budget_ticks is not None:
+    _add_times(table, spending.spent.items())
+    if spending.budget is not None and spending.left is not None:
         table.add_section()
-        rows = {"budget of motion": spending.budget_ticks, "left of it": left}
-        if spending.granted_ticks:
-            rows["granted since it began"] = spending.granted_ticks
-        for name, ticks in rows.items():
-            _add(table, name, f"{ticks:,}", f"{spending.minutes(ticks):.2f}")
-    return Group(Text(spending.whose), table)
+        times = {"motion budget": spending.budget, "left": spending.left}
+        if spending.granted is not None and spending.granted.ticks:
+            times["granted later"] = spending.granted
+        _add_times(table, times.items())
+    return Group(Text(spending.owner), table)
 
 
 def _counts(groups: Iterable[EpisodeGroup]) -> list[str]:
@@ -106,6 +104,11 @@ def _counts(groups: Iterable[EpisodeGroup]) -> list[str]:
     ]
 
 
+def _add_times(table: Table, times: Iterable[tuple[str, RobotTime]]) -> None:
+    for name, time in times:
+        _add(table, name, f"{time.ticks:,}", f"{time.minutes:.2f}")
+
+
 def _numbers(values: NDArray[np.floating]) -> str:
     return " ".join(f"{value:+.3f}" for value in values)
 
@@ -113,10 +116,12 @@ def _numbers(values: NDArray[np.floating]) -> str:
 def _table(*columns: str) -> Table:
     table = Table(box=box.SIMPLE_HEAD)
     for name in columns:
-        table.add_column(name, justify="left" if name in _LEFT else "right", overflow="fold")
+        table.add_column(
+            name, justify="left" if name in _LEFT_ALIGNED else "right", overflow="fold"
+        )
     return table
 
 
 def _add(table: Table, *cells: str) -> None:
-    """Add a row as it is written: names of folders may look like rich's markup."""
+    """Add a row without markup: names of folders may look like rich's."""
     table.add_row(*map(Text, cells))

@@ -1,4 +1,4 @@
-"""Checks that a run's files are whole and belong together."""
+"""Checks that the files of a run are intact and belong together."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from iher_robot.datasets.run_reader import RunData, examine_store
@@ -13,18 +14,19 @@ from iher_robot.datasets.summary import counted
 from iher_robot.errors import UserError
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.episode import StoredEpisode
-from iher_robot.storage.files.atomic import check_seal, read_file
+from iher_robot.storage.files.atomic import read_file
+from iher_robot.storage.files.checksum import check_zip
 from iher_robot.storage.run_result import read_result
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What a check found.
+    """Result of a check.
 
     Attributes:
-        episodes: Episodes that are whole, those that the run began with included.
-        ticks: Ticks in them.
-        problems: A sentence for each thing that is damaged.
+        episodes: Intact episodes, including those of earlier runs that the run began with.
+        ticks: Their ticks.
+        problems: One sentence for each problem.
     """
 
     episodes: int
@@ -39,8 +41,8 @@ class Verification:
         )
 
     def summary(self) -> str:
-        """Each problem, and what all of it comes to in a last line."""
-        found = counted(len(self.problems), "problem") if self.problems else "all whole"
+        """Each problem on a line, then the total."""
+        found = counted(len(self.problems), "problem") if self.problems else "no problems"
         total = f"{counted(self.episodes, 'episode')}, {counted(self.ticks, 'tick')}: {found}"
         return "\n".join([*self.problems, total])
 
@@ -49,52 +51,63 @@ def check_run(run: RunData) -> Verification:
     """Check every file of a run, and that its parts belong together.
 
     Args:
-        run: The run; one that goes on is checked as far as it has got.
+        run: The run; if it is in progress, what it has written so far.
     """
     problems: list[str] = []
-    with _noted(problems):
+    with _collect(problems):
         _ = run.config
     configured = not problems
-    with _noted(problems):
+    with _collect(problems):
         run.directory.check_config()
-    # A run that goes on charges an episode, stores it, and then tells of it: read last to first.
-    told = 0
-    with _noted(problems):
-        told = _episodes_told(run)
-    before = len(problems)
-    stored = list(_whole_episodes(run.directory.episodes_path, problems))
-    if len(problems) == before:
-        with _noted(problems):
-            _check_told(run, told, stored)
-    earlier = list(_whole_episodes(run.directory.warm_start_path, problems))
+    stored = _check_episodes(run, problems)
+    earlier = list(_intact_episodes(run.directory.warm_start_path, problems))
     if configured:
-        for one in stored + earlier:
-            with _noted(problems):
-                run.require_own_task(one)
-        with _noted(problems):
-            _ = run.robot
-    with _noted(problems):
-        _check_ledger(run, stored)
-    with _noted(problems):
-        _ = run.provenance
-    with _noted(problems):
-        read_result(run.directory.result_path)
-    for path in (run.directory.policy_path, run.directory.checkpoint_path):
-        with _noted(problems):
-            _check_seal(path)
+        _check_interface(run, stored + earlier, problems)
+    for check in (
+        partial(_check_ledger, run, stored),
+        lambda: run.provenance,
+        partial(read_result, run.directory.result_path),
+        partial(_check_torch_file, run.directory.policy_path),
+        partial(_check_torch_file, run.directory.checkpoint_path),
+    ):
+        with _collect(problems):
+            check()
     ticks = sum(len(one.episode) for one in stored + earlier)
     return Verification(len(stored) + len(earlier), ticks, tuple(dict.fromkeys(problems)))
 
 
 @contextmanager
-def _noted(problems: list[str]) -> Iterator[None]:
+def _collect(problems: list[str]) -> Iterator[None]:
+    """Add a `UserError` of the block to the problems."""
     try:
         yield
     except UserError as error:
         problems.append(str(error))
 
 
-def _whole_episodes(directory: Path, problems: list[str]) -> Iterator[StoredEpisode]:
+def _check_episodes(run: RunData, problems: list[str]) -> list[StoredEpisode]:
+    """The intact episodes of the run itself."""
+    # A run in progress charges an episode, stores it, then reports it: read in reverse order.
+    reported = 0
+    with _collect(problems):
+        reported = _reported_episodes(run)
+    before = len(problems)
+    stored = list(_intact_episodes(run.directory.episodes_path, problems))
+    if len(problems) == before:
+        with _collect(problems):
+            _check_metrics(run, reported, stored)
+    return stored
+
+
+def _check_interface(run: RunData, stored: Iterable[StoredEpisode], problems: list[str]) -> None:
+    for one in stored:
+        with _collect(problems):
+            run.require_own_task(one)
+    with _collect(problems):
+        _ = run.robot
+
+
+def _intact_episodes(directory: Path, problems: list[str]) -> Iterator[StoredEpisode]:
     for found in examine_store(directory):
         if isinstance(found, UserError):
             problems.append(str(found))
@@ -112,30 +125,30 @@ def _check_ledger(run: RunData, stored: Iterable[StoredEpisode]) -> None:
     for account, ticks in charged.items():
         if found[account] < ticks:
             raise UserError(
-                f"{run.directory.ledger_path} counts {found[account]} ticks of {account}, and "
-                f"{ticks} are stored; put the ledger back that belongs to the episodes"
+                f"{run.directory.ledger_path} counts {found[account]} ticks of {account}, but "
+                f"{ticks} are stored; restore the ledger that belongs to the episodes"
             )
 
 
-def _episodes_told(run: RunData) -> int:
-    """Episodes of motion that the metrics tell of."""
+def _reported_episodes(run: RunData) -> int:
+    """Episodes of motion that the metrics report."""
     rows = run.directory.read_metrics()
-    told = rows[-1].get("episodes", 0) if rows else 0
-    if not isinstance(told, int):
-        raise UserError(f"{run.directory.metrics_path} is damaged: episodes is {told!r}")
-    return told
+    reported = rows[-1].get("episodes", 0) if rows else 0
+    if not isinstance(reported, int):
+        raise UserError(f"{run.directory.metrics_path} is damaged: episodes is {reported!r}")
+    return reported
 
 
-def _check_told(run: RunData, told: int, stored: Iterable[StoredEpisode]) -> None:
+def _check_metrics(run: RunData, reported: int, stored: Iterable[StoredEpisode]) -> None:
     collected = sum(one.account == "motion" for one in stored)
-    if told > collected:
+    if reported > collected:
         raise UserError(
-            f"{run.directory.metrics_path} tells of {told} episodes of motion, and {collected} are "
-            "stored; put the episodes and their index back that belong to it"
+            f"{run.directory.metrics_path} reports {reported} episodes of motion, but {collected} "
+            "are stored; restore the episodes and the index that belong to it"
         )
 
 
-def _check_seal(path: Path) -> None:
+def _check_torch_file(path: Path) -> None:
     if path.exists():
         kind = f"{path.stem} file"
-        check_seal(read_file(path, kind), path, kind)
+        check_zip(read_file(path, kind), path, kind)

@@ -18,7 +18,7 @@ NO_SOLUTION = "no_solution"
 
 
 @dataclass(frozen=True, eq=False)
-class Tick:
+class Tick:  # noqa: PLW1641 - compared, never hashed
     """One control tick.
 
     Attributes:
@@ -41,6 +41,15 @@ class Tick:
     clipped: tuple[str, ...]
     late: bool
     acceptance: Acceptance | None
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both had the same outcome; the counter, which outlives resets, may differ."""
+        if not isinstance(other, Tick):
+            return NotImplemented
+        return np.array_equal(self.action_applied, other.action_applied) and all(
+            getattr(self, name) == getattr(other, name)
+            for name in ("valid", "elapsed", "clipped", "late", "acceptance")
+        )
 
     @property
     def refusal(self) -> str | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-
-from scipy.stats import binomtest
+from statistics import NormalDist
 
 from iher_robot.config.robot import DEFAULT_DRIVER, ChosenRobot, choose_robot
 from iher_robot.errors import UserError
@@ -25,6 +25,31 @@ FILMED_EPISODES = 10
 _OFFICIAL_ROBOT = (DEFAULT_DRIVER, "fetch-mocap")
 
 
+def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a binomial proportion, by the score test without a correction for continuity.
+
+    Args:
+        successes: Trials that succeeded, from 0 to `trials`.
+        trials: At least 1.
+        confidence: Coverage, of both sides together.
+
+    Returns:
+        Its two ends, within 0 and 1.
+
+    Source:
+        E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+        Journal of the American Statistical Association 22 (1927), 209-212.
+    """
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    rate, weight = successes / trials, z**2 / trials
+    center = (rate + weight / 2) / (1 + weight)
+    half = z / (1 + weight) * math.sqrt(rate * (1 - rate) / trials + weight / (4 * trials))
+    # At the ends one side is exact, which the rounding of the formula would miss.
+    low = center - half if successes else 0.0
+    high = center + half if successes < trials else 1.0
+    return low, high
+
+
 def rate_with_interval(successes: int, episodes: int) -> str:
     """Write a success rate with its 95 % interval (Wilson).
 
@@ -32,9 +57,9 @@ def rate_with_interval(successes: int, episodes: int) -> str:
         successes: Episodes that succeeded.
         episodes: Episodes run, at least 1.
     """
-    interval = binomtest(successes, episodes).proportion_ci(method="wilson")
+    low, high = wilson_interval(successes, episodes)
     share = f"{successes / episodes:.0%}"
-    return f"{share} (95 % interval {interval.low:.0%} to {interval.high:.0%})"
+    return f"{share} (95 % interval {low:.0%} to {high:.0%})"
 
 
 @dataclass(frozen=True)

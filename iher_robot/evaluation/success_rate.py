@@ -11,8 +11,8 @@ import torch
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.imagination.source import Progress
 from iher_robot.learning.learner import Learner
+from iher_robot.learning.progress import Progress
 from iher_robot.rollout.actor import PolicyActor
 from iher_robot.rollout.episode import Stream, episode_seed, run_episode
 from iher_robot.rollout.recorder import Recorder

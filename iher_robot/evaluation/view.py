@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from drivers import Clock, MonotonicClock
 from drivers.rendering import Viewable
 from iher_robot.config.robot import choose_robot
-from iher_robot.env.goal_env import GoalRobotEnv
+from iher_robot.env.goal_env import GoalRobotEnv, Observation
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import TrainedPolicy, check_fit, load_trained_policy
 from iher_robot.rollout.actor import PolicyActor
 from iher_robot.rollout.episode import Stream, episode_seed, run_episode
-from iher_robot.rollout.observer import EpisodeObserver, EpisodeStart, Transition
+from iher_robot.rollout.observer import Action, EpisodeObserver, EpisodeStart, Transition
 from iher_robot.rollout.recorder import EpisodeOutcome
 
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -87,12 +87,20 @@ class WindowObserver(EpisodeObserver):
         goal, achieved = start.observation["desired_goal"], start.observation["achieved_goal"]
         self.show(goal, bool(start.env.task.is_success(achieved, goal)))
 
+    def before_tick(self, observation: Observation, action: Action) -> None:  # noqa: ARG002
+        """Wait until the tick is due."""
+        self.wait()
+
     def after_tick(self, transition: Transition) -> None:
         """Show the robot after a tick."""
         self.show(transition.next_observation["desired_goal"], transition.success)
 
+    def wait(self) -> None:
+        """Wait until the next tick is due."""
+        self._pace.wait()
+
     def show(self, goal: NDArray[np.float64], reached: bool) -> None:
-        """Show the robot as it is now, and wait until the next tick is due.
+        """Show the robot as it is now.
 
         Args:
             goal: Position of the goal in the world frame. m ``(3,)``
@@ -103,7 +111,6 @@ class WindowObserver(EpisodeObserver):
         """
         if not self._window.show(goal, reached):
             raise WindowClosed
-        self._pace.wait()
 
 
 def view(
@@ -206,6 +213,7 @@ def _show_start(env: GoalRobotEnv, shown: WindowObserver, seed: int) -> bool:
     env.hold()
     shown.show(goal, reached)
     for _ in range(env.episode_ticks):
+        shown.wait()
         env.driver.advance()  # without a command the tick is held
         shown.show(goal, reached)
     return bool(reached)

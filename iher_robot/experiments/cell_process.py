@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 
 from iher_robot.storage.files.atomic import write_atomically
-from iher_robot.storage.files.lock import LockFile, hold_patiently
+from iher_robot.storage.files.lock import LockFile, wait_for_lock
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import read_result
 
@@ -141,7 +141,7 @@ def hold_cell(path: Path, cancelled: Callable[[], bool], patience_s: float = 60.
     Raises:
         FileHeld: The process still runs.
     """
-    return hold_patiently(
+    return wait_for_lock(
         path, f"an earlier process of {path.stem} still runs", patience_s, cancelled
     )
 

@@ -14,7 +14,7 @@ from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.manifest import Manifest
 from iher_robot.experiments.metadata import cells_of, read_metadata, write_metadata
 from iher_robot.storage.files.atomic import read_file
-from iher_robot.storage.files.lock import LockFile, hold_patiently, read_note
+from iher_robot.storage.files.lock import LockFile, read_note, wait_for_lock
 from iher_robot.storage.run_directory import RunDirectory
 
 NOT_BEGUN = "not begun"
@@ -95,7 +95,7 @@ class ExperimentFolder:
             f"another process writes tables and report of {self.path}; wait for it, then run "
             f"iher-robot report {shlex.quote(str(self.path))}"
         )
-        return hold_patiently(self.path / "report.lock", in_use, patience_s)
+        return wait_for_lock(self.path / "report.lock", in_use, patience_s)
 
     def _make(self) -> None:
         try:

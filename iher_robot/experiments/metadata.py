@@ -9,10 +9,11 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from drivers.validation import describe_first_problem
 from iher_robot.errors import UserError
 from iher_robot.experiments.grid import Identity
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 
 class _Process(BaseModel):
@@ -42,15 +43,13 @@ def read_metadata(path: Path) -> dict[str, Any]:
     """
     if not path.exists():
         return {}
-    metadata = open_line(read_file(path, "experiment file"), path, "experiment file")
+    metadata = load_checked(read_file(path, "experiment file"), path, "experiment file")
     try:
         _Metadata.model_validate_json(json.dumps(metadata), strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"]))
         raise UserError(
-            f"{path} is no experiment file of this version of iher-robot: {key}: {first['msg']}; "
-            "restore it from a copy"
+            f"{path} is no experiment file of this version of iher-robot: "
+            f"{describe_first_problem(error)}; restore it from a copy"
         ) from None
     names = [cell.name for cell in cells_of(metadata)]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -65,7 +64,7 @@ def write_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
     Raises:
         UserError: The file cannot be written, such as on a full disk.
     """
-    text = json.dumps(seal(metadata), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(add_checksum(metadata), indent=1, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 

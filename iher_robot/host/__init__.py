@@ -1,1 +1,1 @@
-"""The host of a robot: what runs beside the robot and trusts no client."""
+"""The host of a robot: runs the control loop beside the robot and trusts no client."""

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DriverError
@@ -19,35 +15,34 @@ from drivers.remote.state_message import HostInfo, pack_state
 from drivers.wire import WireError, unpack
 from iher_robot.host.commands import CommandHandler
 from iher_robot.host.heartbeat import Heartbeat
-from iher_robot.host.lease import Deadman, HostLease
-from iher_robot.host.network.channels import Channel, Note
+from iher_robot.host.lease import HostLease, SilenceTimer
+from iher_robot.host.network.channels import Channel, ChannelMessage
 from iher_robot.host.persistence import RobotMemory, RobotTotal
-from iher_robot.host.requests import RequestDesk
+from iher_robot.host.requests import RequestHandler
+from iher_robot.host.schedule import TickSchedule
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
 from iher_robot.host.tick_log import TickLog
 
-log = logging.getLogger(__name__)
-
-SLOW_S = 120.0
+_SLOW_S = 120.0
 """Longest time that a reset, or loading a scene, may take before the watchdog intervenes."""
 _FROZEN_S = 0.5
-"""Beyond its tick the loop may be late by this much before the watchdog intervenes."""
+"""Time beyond its period that a tick may take before the watchdog intervenes."""
 _UNWATCHED_S = 1.0
-"""Without a watchdog for this long nothing may move."""
-_LISTENING = 0.5
-"""Share of a tick in which commands are taken for a robot that waits for its ticks itself."""
-_TIMED_TICKS = 1500
-_FAULT_EVERY_NS = 10**9
-_LATE_NOTES = 64
-"""Of what waits when a tick should end, so many are dealt with; a flood must not put it off."""
-_WAITING_NOTES = 1024
-_MAY_BE_REFUSED = {"command": "overrun", "object": "object_overrun"}
-"""Past that many these are refused; the others are few, for each waits for its answer."""
+"""Time without a heartbeat of the watchdog after which the robot is disarmed."""
+_COMMAND_SHARE = 0.5
+"""Share of a tick in which messages are handled, where the driver waits for the end of the tick."""
+_FAULT_PERIOD_NS = 10**9
+_LATE_MESSAGES = 64
+"""Messages handled after a tick should have ended; a flood must not delay the tick further."""
+_MAX_WAITING = 1024
+_REFUSED_WHEN_FULL = {"command": "overrun", "object": "object_overrun"}
+"""Kinds refused while that many messages wait, and the reason that is counted. The other kinds are
+few: each of their senders waits for its answer."""
 
 
 class ControlLoop:
-    """Tick by tick: take what arrived, end the tick, publish what was measured."""
+    """Each tick: handle the messages that arrived, end the tick, publish the state."""
 
     def __init__(
         self,
@@ -60,17 +55,17 @@ class ControlLoop:
         clock: Clock,
         tick_log: TickLog | None = None,
     ) -> None:
-        """Put the parts together.
+        """Connect the parts of a host's robot process.
 
         Args:
-            settings: Of the host.
+            settings: Settings of the host.
             robot: Not yet open.
-            total: The robot's own account.
-            memory: What the robot remembers.
+            total: The robot's own account of ticks.
+            memory: What the robot remembers over restarts of the host.
             channel: To the gateway.
             heartbeat: Shared with the watchdog.
             clock: Monotonic.
-            tick_log: Told what the robot did in each tick.
+            tick_log: Gets an entry for each tick, None for no log.
         """
         self.boot = os.urandom(8).hex()
         self._robot = robot
@@ -80,31 +75,28 @@ class ControlLoop:
         self._heartbeat = heartbeat
         self._clock = clock
         self._tick_log = tick_log
+        self._schedule = TickSchedule(clock)
         self._lease = HostLease(settings.name, settings.lease_s, clock)
-        self._deadman = Deadman(settings.deadman_s, clock)
-        self._desk = CommandHandler(
+        self._deadman = SilenceTimer(settings.deadman_s, clock)
+        self._commands = CommandHandler(
             self.boot, robot, self._lease, self._deadman, clock, settings.command_age_ticks
         )
-        self._requests = RequestDesk(
+        self._requests = RequestHandler(
             boot=self.boot,
             robot=robot,
             lease=self._lease,
-            desk=self._desk,
+            commands=self._commands,
             deadman=self._deadman,
             total=total,
             fixed_scene=settings.scene,
             status=self._timing,
             slow=self._slow,
         )
-        self._inbox: queue.SimpleQueue[Note] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[ChannelMessage] = queue.SimpleQueue()
         self._gateway_gone = threading.Event()
         self._parent = os.getppid()
-        self._next_ns = 0
         self._published_ns = 0
-        self._was_slow = False
-        self._late: deque[float] = deque(maxlen=_TIMED_TICKS)
-        self._overruns = 0
-        self._told_fault: tuple[str | None, int] = (None, 0)
+        self._sent_fault: tuple[str | None, int] = (None, 0)
 
     def run(self, ready: Callable[[], None]) -> None:
         """Serve until the host ends; the robot is left held, disarmed and disconnected.
@@ -112,117 +104,110 @@ class ControlLoop:
         Args:
             ready: Called once the robot is open and its first state is published.
         """
-        self._heartbeat.set_deadline(SLOW_S)
+        self._heartbeat.set_deadline(_SLOW_S)
         reading = threading.Thread(target=self._read_channel, daemon=True, name="host channel")
         try:
             self._robot.open()
-            self._next_ns = self._clock.now_ns()
+            self._schedule.start()
             self._publish()
             reading.start()
             ready()
-            while not self._over():
+            while not self._must_end():
                 self.tick()
         finally:
             self._robot.close()
 
     def tick(self) -> None:
-        """One control tick."""
-        period_ns = self._robot.spec.control_period_ns
+        """Run one control tick."""
+        driver, period_ns = self._robot.driver, self._robot.spec.control_period_ns
         self._heartbeat.set_deadline(period_ns / 1e9 + _FROZEN_S)
-        self._next_ns += period_ns
-        if self._robot.driver.paces_itself:
-            self._take_until(self._published_ns + round(_LISTENING * period_ns))
+        self._schedule.begin_tick(period_ns)
+        if driver.paces_itself:
+            self._handle_until(self._published_ns + round(_COMMAND_SHARE * period_ns))
         else:
-            self._take_until(self._next_ns)
+            self._handle_until(self._schedule.next_ns)
         self._enforce_timeouts()
-        if self._robot.driver.is_armed:
+        driver = self._robot.driver  # another one, where a request changed the scene
+        if driver.is_armed:
             self._total.tick("motion")
         elif self._lease.token:
             self._total.tick("idle")
-        self._robot.driver.advance()
-        self._plan_next_tick(period_ns)
+        driver.advance()
+        self._schedule.end_tick(period_ns, paces_itself=driver.paces_itself)
         self._publish()
 
-    def _plan_next_tick(self, period_ns: int) -> None:
-        now_ns = self._clock.now_ns()
-        late_ns = now_ns - self._next_ns
-        if self._was_slow:  # a reset or a new scene took its time: no tick was late
-            self._was_slow, self._next_ns = False, now_ns
-            return
-        self._late.append(late_ns / 1e6)
-        if late_ns > period_ns:
-            self._overruns += 1
-        if late_ns > period_ns or self._robot.driver.paces_itself:  # ticks are not made up for
-            self._next_ns = now_ns
-
-    def _over(self) -> bool:
+    def _must_end(self) -> bool:
         return self._heartbeat.ending or self._gateway_gone.is_set() or os.getppid() != self._parent
 
-    def _take_until(self, deadline_ns: int) -> None:
-        """Deal with whatever arrives until then, and with some of what has arrived in any case."""
+    def _handle_until(self, deadline_ns: int) -> None:
+        """Handle messages until the deadline, and at most a few that wait after it."""
         late = 0
-        while late < _LATE_NOTES:
+        while late < _LATE_MESSAGES:
             left_s = (deadline_ns - self._clock.now_ns()) / 1e9
             late += left_s <= 0
             try:
-                note = self._inbox.get(timeout=left_s) if left_s > 0 else self._inbox.get_nowait()
+                if left_s > 0:
+                    message = self._inbox.get(timeout=left_s)
+                else:
+                    message = self._inbox.get_nowait()
             except queue.Empty:
                 return
-            self._take(note)
+            self._handle(message)
 
-    def _take(self, note: Note) -> None:
-        if note.kind == "command":
-            self._desk.take(note.body)
-        elif note.kind == "request":
-            reply = self._requests.answer(note.name, note.body)
-            self._channel.send(Note("reply", note.number, note.name, reply))
-        elif note.kind == "object":
-            self._see(note)
-        elif note.kind == "refused":
-            self._desk.refuse(note.name, note.number)
+    def _handle(self, message: ChannelMessage) -> None:
+        if message.kind == "command":
+            self._commands.take(message.body)
+        elif message.kind == "request":
+            reply = self._requests.answer(message.name, message.body)
+            self._channel.send(ChannelMessage("reply", message.number, message.name, reply))
+        elif message.kind == "object":
+            self._take_pose(message)
+        elif message.kind == "refused":
+            self._commands.refuse(message.name, message.number)
 
-    def _see(self, note: Note) -> None:
+    def _take_pose(self, message: ChannelMessage) -> None:
         try:
-            self._robot.see(note.name, unpack(ObjectMessage, note.body))
+            self._robot.take_pose(message.name, unpack(ObjectMessage, message.body))
         except WireError as error:
-            self._desk.refuse(f"object_{error.reason}")
+            self._commands.refuse(f"object_{error.reason}")
         except DriverError:
-            self._desk.refuse("object_invalid")
+            self._commands.refuse("object_invalid")
 
     def _read_channel(self) -> None:
-        """Sort what arrives, in a thread of its own: a stop waits for no tick and no reset."""
+        """Receive messages in a separate thread: a stop waits for no tick and no reset."""
         try:
-            while (note := self._channel.receive()) is not None:
-                self._sort(note)
-        finally:  # a host that hears no stop must not go on
+            while (message := self._channel.receive()) is not None:
+                self._dispatch(message)
+        finally:  # a host that cannot receive a stop must end
             self._gateway_gone.set()
 
-    def _sort(self, note: Note) -> None:
-        if note.kind == "request" and note.name == "stop":
-            reply = self._requests.answer("stop", note.body)
-            self._channel.send(Note("reply", note.number, "stop", reply))
-        elif note.kind == "stop":
-            self._requests.answer("stop", note.body)
-        elif note.kind in _MAY_BE_REFUSED and self._inbox.qsize() >= _WAITING_NOTES:
-            self._desk.refuse(_MAY_BE_REFUSED[note.kind])
+    def _dispatch(self, message: ChannelMessage) -> None:
+        """Stop at once; queue everything else for the control loop."""
+        if message.kind == "request" and message.name == "stop":
+            reply = self._requests.answer("stop", message.body)
+            self._channel.send(ChannelMessage("reply", message.number, "stop", reply))
+        elif message.kind == "stop":
+            self._requests.answer("stop", message.body)
+        elif message.kind in _REFUSED_WHEN_FULL and self._inbox.qsize() >= _MAX_WAITING:
+            self._commands.refuse(_REFUSED_WHEN_FULL[message.kind])
         else:
-            self._inbox.put(note)
+            self._inbox.put(message)
 
     def _enforce_timeouts(self) -> None:
         armed = self._robot.driver.is_armed
-        if armed and self._deadman.tripped:
+        if armed and self._deadman.expired:
             self._requests.disarm(f"no command for {self._deadman.limit_s:g} s")
         if self._lease.expire():
-            self._requests.disarm("the client that had the robot has fallen silent")
+            self._requests.disarm("the client that had the lease sent nothing until it ended")
         if armed and self._heartbeat.unwatched_s > _UNWATCHED_S:
             self._requests.disarm("the host's watchdog is frozen")
 
     def _publish(self) -> None:
         state = self._robot.state()
         driver = self._robot.driver
-        self._memory.count(state.seq)
-        self._robot.keep_fault()
-        # Before the fault is looked at: a stop from now on must not seem to be in this state.
+        self._memory.reserve_ticks(state.seq)
+        self._robot.save_fault()
+        # Before the fault is read: a stop from now on must not seem to be in this state.
         self._requests.published(state.seq)
         info = HostInfo(
             boot=self.boot,
@@ -232,32 +217,24 @@ class ControlLoop:
             armed=driver.is_armed,
             disarmed_because=self._requests.disarmed_because,
             fault=driver.fault,
-            refusals=self._desk.refusals,
+            refusals=self._commands.refusals,
             clips={str(reason): n for reason, n in driver.clips.items()},
         )
-        self._desk.published(state.seq)
+        self._commands.published(state.seq)
         self._published_ns = self._clock.now_ns()
         packed = pack_state(state, info)
-        self._channel.send(Note("state", info.token, self.boot, packed))
-        name = state.fault
-        if (
-            name != self._told_fault[0]
-            or self._published_ns - self._told_fault[1] > _FAULT_EVERY_NS
-        ):
-            self._channel.send(Note("fault", 0, self.boot, packed))
-            self._told_fault = (name, self._published_ns)
+        self._channel.send(ChannelMessage("state", info.token, self.boot, packed))
+        name, sent_ns = self._sent_fault
+        if state.fault != name or self._published_ns - sent_ns > _FAULT_PERIOD_NS:
+            self._channel.send(ChannelMessage("fault", 0, self.boot, packed))
+            self._sent_fault = (state.fault, self._published_ns)
         if self._tick_log is not None:
             self._tick_log.add(state, info, self._published_ns)
 
     def _slow(self) -> None:
-        self._heartbeat.set_deadline(SLOW_S)
-        self._was_slow = True
+        self._heartbeat.set_deadline(_SLOW_S)
+        self._schedule.pause()
 
     def _timing(self) -> dict[str, Any]:
-        late = np.percentile(self._late, [50, 99]) if self._late else (0.0, 0.0)
-        return {
-            "tick_late_p50_ms": float(late[0]),
-            "tick_late_p99_ms": float(late[1]),
-            "tick_overruns": self._overruns,
-            "ticks_not_logged": 0 if self._tick_log is None else self._tick_log.lost,
-        } | self._desk.timing()
+        lost = 0 if self._tick_log is None else self._tick_log.lost
+        return self._schedule.timing() | {"ticks_not_logged": lost} | self._commands.timing()

@@ -1,4 +1,4 @@
-"""Signs of life between the processes of a host, in shared memory."""
+"""Heartbeats between the processes of a host, in shared memory."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from typing import Any
 
 
 class _Slot(IntEnum):
-    BACK_BY = 0
+    DEADLINE = 0
     WATCHDOG = 1
     ENDING = 2
 
 
 class Heartbeat:
-    """What control loop and watchdog know of each other.
+    """Deadline of the control loop and last check of the watchdog, each written by one of them.
 
-    The loop promises when it will be back, at each tick and before whatever takes longer; the
-    watchdog says when it last looked. Both on this machine's monotonic clock.
+    The loop sets a deadline at each tick and before anything that takes longer. Times are on this
+    machine's monotonic clock.
     """
 
     def __init__(self, context: SpawnContext) -> None:
-        """Make the shared memory, for processes of this context."""
+        """Allocate the shared memory, for processes of this context."""
         self._slots: Any = context.Array("q", len(_Slot), lock=False)
 
     def set_deadline(self, seconds: float) -> None:
-        """The loop will be back within this time."""
-        self._slots[_Slot.BACK_BY] = time.monotonic_ns() + round(seconds * 1e9)
+        """Set the time within which the control loop will set its next deadline."""
+        self._slots[_Slot.DEADLINE] = time.monotonic_ns() + round(seconds * 1e9)
 
     @property
     def overdue_s(self) -> float:
-        """By how much the loop's promise is broken; negative while it is kept."""
-        promised = self._slots[_Slot.BACK_BY]
-        return float("-inf") if promised == 0 else (time.monotonic_ns() - promised) / 1e9
+        """Time since the control loop's deadline passed; negative before it."""
+        deadline_ns = self._slots[_Slot.DEADLINE]
+        return float("-inf") if deadline_ns == 0 else (time.monotonic_ns() - deadline_ns) / 1e9
 
     def beat(self) -> None:
-        """The watchdog looks."""
+        """Record a check by the watchdog."""
         self._slots[_Slot.WATCHDOG] = time.monotonic_ns()
 
     @property
     def unwatched_s(self) -> float:
-        """Time since the watchdog looked."""
+        """Time since the watchdog's last check."""
         return float(time.monotonic_ns() - self._slots[_Slot.WATCHDOG]) / 1e9
 
     def end(self) -> None:
@@ -50,5 +50,5 @@ class Heartbeat:
 
     @property
     def ending(self) -> bool:
-        """Whether they should end."""
+        """Whether the processes were asked to end."""
         return bool(self._slots[_Slot.ENDING])

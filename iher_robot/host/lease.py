@@ -1,4 +1,4 @@
-"""Who may command a robot: one client at a time, for as long as it is heard of."""
+"""The lease of a robot, for one client at a time, and the timer that detects a silent client."""
 
 from __future__ import annotations
 
@@ -6,21 +6,50 @@ from drivers import LeaseRefused
 from drivers.clock import Clock
 
 
+class SilenceTimer:
+    """Expires when a client sent nothing for too long; the deadman is one.
+
+    Args:
+        limit_s: Longest silence that is allowed.
+        clock: The host's.
+    """
+
+    def __init__(self, limit_s: float, clock: Clock) -> None:
+        self.limit_s = limit_s
+        self._clock = clock
+        self._restarted_ns = clock.now_ns()
+
+    def restart(self) -> None:
+        """Start again from zero: the client sent something."""
+        self._restarted_ns = self._clock.now_ns()
+
+    @property
+    def silence_s(self) -> float:
+        """Time since the client last sent something."""
+        return (self._clock.now_ns() - self._restarted_ns) / 1e9
+
+    @property
+    def expired(self) -> bool:
+        """Whether the client has been silent for longer than the limit."""
+        return self.silence_s > self.limit_s
+
+
 class HostLease:
-    """The lease of a robot, given by the host with a token that rises: the newest one counts.
+    """The right to command a robot, with a token that rises: only the newest token is valid.
 
     Attributes:
-        token: Of the lease in force, 0 for none.
-        holder: Who has it, in words.
-        n: Number of its last command that was dealt with.
+        token: Token of the lease in force, 0 for none.
+        holder: Name of the client that has it.
+        n: Number of its last command that was processed.
+        ttl_s: Silence of the client after which it ends.
     """
 
     def __init__(self, name: str, ttl_s: float, clock: Clock) -> None:
-        """Begin without a lease.
+        """Start without a lease.
 
         Args:
-            name: Of the robot.
-            ttl_s: Silence after which it ends.
+            name: Name of the robot.
+            ttl_s: Silence of a client after which its lease ends.
             clock: The host's.
         """
         self.token = 0
@@ -28,51 +57,50 @@ class HostLease:
         self.n = 0
         self.ttl_s = ttl_s
         self._name = name
-        self._clock = clock
-        self._given = 0
+        self._timer = SilenceTimer(ttl_s, clock)
+        self._last_token = 0
         self._session = ""
-        self._heard_ns = 0
 
     def acquire(self, session: str, holder: str) -> int:
-        """Give the lease to a client; one that has it gets a new token.
+        """Give the lease to a client; the client that already has it gets a new token.
 
         Args:
-            session: Stands for the client.
-            holder: Who it is, in words.
+            session: Identifies the client.
+            holder: Name of the client, for messages.
 
         Returns:
             The token.
 
         Raises:
-            LeaseRefused: Somebody else has it.
+            LeaseRefused: Another client has it.
         """
         if self.token and session != self._session:
-            left_s = self.ttl_s - self._silence_s()
+            left_s = self.ttl_s - self._timer.silence_s
             raise LeaseRefused(
-                f"robot {self._name!r} is used by {self.holder} now, until that client ends or is "
+                f"robot {self._name!r} is used by {self.holder}, until that client ends or is "
                 f"silent for {max(0.0, left_s):.1f} s more; wait for it, or stop it"
             )
-        self._given += 1
-        self.token, self._session, self.holder, self.n = self._given, session, holder, 0
-        self.heard()
+        self._last_token += 1
+        self.token, self._session, self.holder, self.n = self._last_token, session, holder, 0
+        self.renew()
         return self.token
 
     def require(self, token: int) -> None:
-        """Refuse everybody but the client that has the lease, and note that it was heard of.
+        """Check that a request comes from the client that has the lease, and renew the lease.
 
         Raises:
             LeaseRefused: The token is not that of the lease in force.
         """
         if not self.token or token != self.token:
-            now = f"it is used by {self.holder} now" if self.token else "it has ended"
+            now = f"the robot is used by {self.holder}" if self.token else "it has ended"
             raise LeaseRefused(
                 f"lease {token} of robot {self._name!r} is not in force: {now}; open it again"
             )
-        self.heard()
+        self.renew()
 
-    def heard(self) -> None:
-        """Note that the client was heard of."""
-        self._heard_ns = self._clock.now_ns()
+    def renew(self) -> None:
+        """Restart the time after which a silent client loses the lease."""
+        self._timer.restart()
 
     def release(self) -> None:
         """End the lease."""
@@ -84,33 +112,7 @@ class HostLease:
         Returns:
             Whether it ended now.
         """
-        if not self.token or self._silence_s() <= self.ttl_s:
+        if not self.token or not self._timer.expired:
             return False
         self.release()
         return True
-
-    def _silence_s(self) -> float:
-        return (self._clock.now_ns() - self._heard_ns) / 1e9
-
-
-class Deadman:
-    """Notices that an armed client has fallen silent.
-
-    Args:
-        limit_s: Silence that is too long.
-        clock: The host's.
-    """
-
-    def __init__(self, limit_s: float, clock: Clock) -> None:
-        self.limit_s = limit_s
-        self._clock = clock
-        self._heard_ns = clock.now_ns()
-
-    def heard(self) -> None:
-        """Note that the client was heard of."""
-        self._heard_ns = self._clock.now_ns()
-
-    @property
-    def tripped(self) -> bool:
-        """Whether the client is silent for too long."""
-        return (self._clock.now_ns() - self._heard_ns) / 1e9 > self.limit_s

@@ -1,4 +1,4 @@
-"""What a host answers."""
+"""Answers the requests of clients: description, status, lease, arm, reset, stop, clear fault."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from drivers.remote.messages import (
 from drivers.wire import WireError, pack, unpack
 from iher_robot.errors import UserError
 from iher_robot.host.commands import CommandHandler
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.persistence import RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.version import __version__
@@ -33,22 +33,22 @@ log = logging.getLogger(__name__)
 Result = dict[str, Any]
 
 _LONGEST_RESET_S = 120.0
-"""Robot time that is written down before a reset."""
+"""Robot time that is reserved for a reset."""
 
 
-class RequestDesk:
-    """Answers requests between two ticks, and stops at any time.
+class RequestHandler:
+    """Answers requests between two ticks, and a stop at any time.
 
     Args:
-        boot: Which start of the host this is.
+        boot: Identifies this start of the host.
         robot: The robot.
-        lease: Who may command.
-        desk: Takes the commands.
-        deadman: Begins to wait when the robot is armed.
-        total: The robot's own account.
-        fixed_scene: The only scene, None for any.
-        status: What the loop adds to `status`.
-        slow: Called before something that takes longer than a tick, with its kind.
+        lease: The lease of the client that may command.
+        commands: Handler of the commands.
+        deadman: Restarted when the robot is armed.
+        total: The robot's own account of ticks.
+        fixed_scene: The only scene that is served, None for any.
+        status: Returns what the control loop adds to `status`.
+        slow: Called before anything that takes longer than a tick.
     """
 
     def __init__(
@@ -57,8 +57,8 @@ class RequestDesk:
         boot: str,
         robot: ServedRobot,
         lease: HostLease,
-        desk: CommandHandler,
-        deadman: Deadman,
+        commands: CommandHandler,
+        deadman: SilenceTimer,
         total: RobotTotal,
         fixed_scene: str | None,
         status: Callable[[], Result],
@@ -67,7 +67,7 @@ class RequestDesk:
         self._boot = boot
         self._robot = robot
         self._lease = lease
-        self._desk = desk
+        self._commands = commands
         self._deadman = deadman
         self._total = total
         self._fixed_scene = fixed_scene
@@ -75,12 +75,12 @@ class RequestDesk:
         self._slow = slow
         self._seq = 0
         self.disarmed_because = ""
-        self._answers: dict[str, Callable[[bytes], Result]] = {
+        self._handlers: dict[str, Callable[[bytes], Result]] = {
             "spec": self._spec,
             "status": self._status,
             "ping": self._ping,
             "stop": self.stop,
-            "lease": self._lease_of,
+            "lease": self._change_lease,
             "arm": self._arm,
             "disarm": self._disarm,
             "reset": self._reset,
@@ -89,40 +89,40 @@ class RequestDesk:
         }
 
     def answer(self, name: str, body: bytes) -> bytes:
-        """Answer a request, whatever it is.
+        """Answer a request.
 
         Args:
-            name: What for.
-            body: The request as it arrived.
+            name: Name of the request.
+            body: The packed message.
 
         Returns:
             A packed `Reply`.
         """
         try:
-            if name not in self._answers:
-                known = ", ".join(sorted(self._answers))
+            if name not in self._handlers:
+                known = ", ".join(sorted(self._handlers))
                 raise InvalidRequest(f"request {name!r:.40} is unknown, valid: {known}")
-            result = self._answers[name](body)
+            result = self._handlers[name](body)
         except WireError as error:
-            self._desk.refuse(f"request_{error.reason}")
+            self._commands.refuse(f"request_{error.reason}")
             return self._reply(InvalidRequest(f"request {name!r} cannot be read: {error}"))
         except (DriverError, UserError) as error:
-            self._desk.refuse("request_refused")
+            self._commands.refuse("request_refused")
             return self._reply(error)
         return self._reply(None, result)
 
     def stop(self, body: bytes) -> Result:
-        """Stop and latch; from any thread."""
+        """Stop the robot and latch the fault. Thread-safe."""
         request = unpack(StopRequest, body)
         self._robot.stop(request.reason, request.fault)  # on disk before it is acknowledged
         return {}
 
     def published(self, seq: int) -> None:
-        """Note the sequence of the newest state."""
+        """Record the sequence of the newest state, which every reply carries."""
         self._seq = seq
 
     def disarm(self, because: str) -> None:
-        """Disarm the robot on the host's own account."""
+        """Disarm the robot by decision of the host, for a reason that clients can read."""
         self._robot.driver.disarm()
         self.disarmed_because = because
 
@@ -146,30 +146,30 @@ class RequestDesk:
             "disarmed_because": self.disarmed_because,
             "fault": None if fault is None else {"name": fault.name, "reason": fault.reason},
             "holder": self._lease.holder,
-            "refusals": dict(self._desk.refusals),
+            "refusals": dict(self._commands.refusals),
             "clips": {str(reason): n for reason, n in driver.clips.items()},
             "total_ticks": self._total.spent(),
             "control_period_s": self._robot.spec.control_period_s,
             "deadman_s": self._deadman.limit_s,
         } | self._status_of_loop()
 
-    def _lease_of(self, body: bytes) -> Result:
+    def _change_lease(self, body: bytes) -> Result:
         request = unpack(LeaseRequest, body)
         if request.op == "acquire":
             scene = request.scene or self._robot.scene
             self._describe(scene)  # before anything changes
             if scene != self._robot.scene and self._robot.driver.after_human_help:
                 raise HandsNotClear(
-                    f"{self._robot.spec.name} asked for a human; confirm that hands are clear and "
-                    "reset it before another scene"
+                    f"{self._robot.spec.name} needed a human; confirm that hands are clear and "
+                    "reset it before changing the scene"
                 )
             token = self._lease.acquire(request.session, request.holder)
-            self.disarm("")  # of whoever had it before
+            self.disarm("")  # the client that had it before may have left it armed
             if scene != self._robot.scene:
                 self._slow()
-                self._robot.use(scene)
-                self._desk.forget()
-                self._lease.heard()  # loading took its time
+                self._robot.change_scene(scene)
+                self._commands.forget()
+                self._lease.renew()  # the time of loading does not count
             return {"token": token, "ttl_s": self._lease.ttl_s}
         self._lease.require(request.token)
         if request.op == "release":
@@ -182,10 +182,10 @@ class RequestDesk:
         self._require(request)
         driver = self._robot.driver
         driver.limit_speed(request.speed)
-        self._total.begin("motion")  # what cannot be counted does not move
+        self._total.reserve("motion")  # no motion without a tick that can be counted
         driver.arm()
         self.disarmed_because = ""
-        self._deadman.heard()
+        self._deadman.restart()
         return {}
 
     def _disarm(self, body: bytes) -> Result:
@@ -205,12 +205,14 @@ class RequestDesk:
         self._robot.driver.limit_speed(request.speed)
         before = self._robot.state().stamp_ns
         period_ns = self._robot.spec.control_period_ns
-        with self._total.longest("reset", round(_LONGEST_RESET_S * 1e9 / period_ns)) as entry:
+        with self._total.reserve_at_most(
+            "reset", round(_LONGEST_RESET_S * 1e9 / period_ns)
+        ) as entry:
             try:
                 result = self._robot.reset(ResetRequest(places, request.seed))
-            finally:  # one that failed may have moved, too
-                self._desk.forget()
-                self._lease.heard()
+            finally:  # a reset that failed may have moved the robot, too
+                self._commands.forget()
+                self._lease.renew()
                 after = self._robot.state()
                 entry.settle(-(-(after.stamp_ns - before) // period_ns))
         self.published(after.seq)
@@ -226,8 +228,8 @@ class RequestDesk:
     def _clear_fault(self, body: bytes) -> Result:
         name = unpack(ClearFaultRequest, body).name
         self._robot.driver.clear_fault(name)
-        self._robot.keep_fault()
-        log.warning("fault %r of %s was cleared", name, self._robot.spec.name)
+        self._robot.save_fault()
+        log.warning("fault %r of %s is cleared", name, self._robot.spec.name)
         return {}
 
     def _describe(self, scene: str) -> Any:
@@ -236,11 +238,11 @@ class RequestDesk:
                 f"{self._robot.spec.name} is served in scene {self._fixed_scene!r} only, not "
                 f"{scene!r:.40}; start its host with another --scene"
             )
-        if not self._robot.knows(scene):
-            if self._robot.driver.is_armed:  # loading it would keep the control loop from its ticks
+        if not self._robot.has_described(scene):
+            if self._robot.driver.is_armed:  # loading it would block the control loop
                 raise LeaseRefused(
                     f"scene {scene!r:.40} of {self._robot.spec.name} is not loaded, and the robot "
-                    f"is used by {self._lease.holder} now; ask again when it is disarmed"
+                    f"is used by {self._lease.holder}; try again when it is disarmed"
                 )
             self._slow()
         return self._robot.describe(scene)
@@ -248,7 +250,7 @@ class RequestDesk:
     def _require(self, request: Leased) -> None:
         if request.boot != self._boot:
             raise LinkLost(
-                f"the host of {self._robot.spec.name} was started anew; open the robot again"
+                f"the host of {self._robot.spec.name} was restarted; open the robot again"
             )
         self._lease.require(request.token)
 

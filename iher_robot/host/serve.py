@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers.registry import make_holder
 from drivers.remote.keys import robot_key
-from iher_robot.config.robot import REMOTE_DRIVER, choose_robot
+from iher_robot.config.robot import REMOTE_DRIVER, ChosenRobot, choose_robot
 from iher_robot.errors import UserError
 from iher_robot.host.settings import HostSettings
 from iher_robot.host.supervisor import Host
@@ -35,32 +35,26 @@ def serve(
     """Serve a robot until an interrupt; it is left held and disarmed.
 
     Args:
-        driver: Name of the driver that moves it; what the robot file names, or mujoco, where None.
+        driver: Name of the driver; where None the one in the robot file, or mujoco.
         robot: Name of a robot, or the path of a YAML file; the driver's default where None.
-        name: Name on the network; that of the robot or of the driver where None.
+        name: Name on the network; where None that of the robot or of the driver.
         listen: Zenoh endpoints.
         scene: The only scene served; by default the one that a client's task needs.
         security: File with certificates, users and roles.
-        insecure: Listen beyond this machine without them.
-        without_joint_limits: Serve a robot whose joint limits nobody enforces.
+        insecure: Listen beyond this machine without security.
+        without_joint_limits: Serve a robot that enforces no joint limits.
         perception: Objects whose poses come from another publisher.
-        deadman_s: Silence of an armed client after which it is disarmed, s.
-        memory: Folder for latched fault, tick counter and ledger; by default one of the robot's
-            own in the user's state folder.
+        deadman_s: Silence after which an armed client is disarmed, s.
+        memory: Folder for latched fault, tick counter and ledger; by default one for each name in
+            the user's state folder.
         tick_log: File that gets a line of JSON for each control tick; None for none.
-        echo: Told what is served.
+        echo: Prints a line for the user.
 
     Raises:
-        UserError: Bad input, or the host ended by itself.
+        UserError: Bad input, or the host ended unexpectedly.
     """
     chosen = choose_robot(driver, robot)
-    if chosen.driver == REMOTE_DRIVER:
-        raise UserError(
-            "driver is 'zenoh', which reaches a robot that is served already; name the driver that "
-            "moves it, such as mujoco"
-        )
-    served = name or _served_name(chosen.name, chosen.driver)
-    robot_key(served)
+    served = _served_name(chosen, name)
     if not 0.0 < deadman_s <= 10.0:
         raise UserError(f"deadman is {deadman_s} s, allowed: above 0 and up to 10 s")
     settings = HostSettings(
@@ -77,13 +71,19 @@ def serve(
         deadman_s=deadman_s,
         tick_log_path=tick_log,
     )
-    host = Host(settings, make_holder(chosen.driver, **settings.options))
+    _run_host(settings, chosen.title, echo)
+
+
+def _run_host(settings: HostSettings, title: str, echo: Callable[[str], None]) -> None:
+    """Run a host until an interrupt."""
+    host = Host(settings, make_holder(settings.driver, **settings.options))
     try:
         host.start()
         echo(
-            f"serving {chosen.title} as {served!r} on {', '.join(listen)}; Ctrl-C ends it\n"
+            f"serving {title} as {settings.name!r} on {', '.join(settings.listen)}; "
+            "Ctrl-C ends it\n"
             f"memory  {settings.memory_path}\n"
-            f"try     iher-robot train --driver zenoh --robot {served} --task reach "
+            f"try     iher-robot train --driver zenoh --robot {settings.name} --task reach "
             "--budget-minutes 1"
         )
         host.watch()
@@ -93,8 +93,16 @@ def serve(
         host.stop()
 
 
-def _served_name(robot: str, driver: str) -> str:
-    return (Path(robot).stem if robot else driver).lower().replace("_", "-")
+def _served_name(chosen: ChosenRobot, name: str | None) -> str:
+    if chosen.driver == REMOTE_DRIVER:
+        raise UserError(
+            f"driver is {REMOTE_DRIVER!r}, which connects to a robot that is already served; name "
+            "the driver that moves it, such as mujoco"
+        )
+    robot = Path(chosen.name).stem if chosen.name else chosen.driver
+    served = name or robot.lower().replace("_", "-")
+    robot_key(served)  # raises where the name is not allowed
+    return served
 
 
 def _state_folder() -> Path:

@@ -1,4 +1,4 @@
-"""The robot that a host serves: its driver for a scene, and what the host adds to it."""
+"""The robot that a host serves: a driver for each scene, and one tick counter and fault for all."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from iher_robot.errors import UserError
 from iher_robot.host.persistence import RobotMemory
 
 PERCEPTION = "perception"
-"""Source of poses that another publisher than the robot sends."""
+"""Source of object poses that come from another publisher than the robot."""
 
 
 class ServedRobot:
-    """A driver, made anew for each scene, with one tick counter over all of them.
+    """A driver per scene, with one tick counter over all of them.
 
-    Every fault that its driver latches is written down, and is latched again by the next one.
+    A latched fault is saved, and latched again in the driver of the next scene or start.
     """
 
     def __init__(
@@ -46,13 +46,13 @@ class ServedRobot:
 
         Args:
             make: Makes a driver for a scene.
-            scene: The one to begin with; the first that the driver has where None.
-            memory: What the robot remembers.
+            scene: The scene to start with; where None the first that the driver supports.
+            memory: What the robot remembers over restarts of the host.
             perception: Objects whose poses come from another publisher.
             clock: The host's.
 
         Raises:
-            UserError: An object of perception that the robot does not have.
+            UserError: The robot does not have an object of perception.
         """
         self._make = make
         self._memory = memory
@@ -60,7 +60,7 @@ class ServedRobot:
         self._clock = clock
         self._specs: dict[str, RobotSpec] = {}
         self._made: dict[str, RobotDriver] = {}  # described, and not yet used
-        self._seen: dict[str, tuple[ObjectMessage, int]] = {}
+        self._poses: dict[str, tuple[ObjectMessage, int]] = {}
         self.scene, self.driver = (
             make_in_first_scene(make) if scene is None else (scene, make(scene))
         )
@@ -68,12 +68,12 @@ class ServedRobot:
         missing = self._perception - self.spec.objects.keys()
         if missing:
             raise UserError(
-                f"perception of {', '.join(sorted(missing))} is asked for, objects of "
+                f"--perception names {', '.join(sorted(missing))}, objects of "
                 f"{self.spec.name}: {', '.join(sorted(self.spec.objects)) or 'none'}"
             )
         self._specs[self.scene] = self.spec
-        self._ahead = memory.ticks
-        self._latch_again()
+        self._seq_offset = memory.ticks
+        self._restore_fault()
 
     def describe(self, scene: str) -> RobotSpec:
         """Return the description of the robot in a scene.
@@ -86,15 +86,15 @@ class ServedRobot:
             self._specs[scene] = self._spec_of(self._made[scene])
         return self._specs[scene]
 
-    def knows(self, scene: str) -> bool:
-        """Whether describing the robot in a scene takes no time."""
+    def has_described(self, scene: str) -> bool:
+        """Whether the description of the robot in a scene is known without loading the scene."""
         return scene in self._specs
 
-    def use(self, scene: str) -> None:
+    def change_scene(self, scene: str) -> None:
         """Change to another scene. The robot is held and disarmed afterwards.
 
         Raises:
-            DriverError: There is no such scene, and the old one stays.
+            DriverError: There is no such scene; the current one stays in use.
         """
         if scene == self.scene:
             return
@@ -105,59 +105,63 @@ class ServedRobot:
         old = self.driver
         old.close()
         self.driver, self.scene, self.spec = driver, scene, spec
-        self._seen.clear()
-        self._latch_again()
-        if old.fault is not None:  # a stop came meanwhile
+        self._poses.clear()
+        self._restore_fault()
+        if old.fault is not None:  # stopped while the scene changed
             driver.stop(old.fault.reason, old.fault.name)
         self.driver.open()
-        self._ahead = last + 1 - self.driver.measure().seq
+        self._seq_offset = last + 1 - self.driver.measure().seq
 
     def open(self) -> None:
-        """Connect; the tick counter goes on where it was when the robot was last served."""
+        """Connect; the tick counter continues above that of the last time the robot was served."""
         self.driver.open()
-        if self._memory.human:
+        if self._memory.human_needed:
             self.driver.expect_human()
-        self._ahead = self._memory.ticks + 1 - self.driver.measure().seq
+        self._seq_offset = self._memory.ticks + 1 - self.driver.measure().seq
 
     def reset(self, request: ResetRequest) -> ResetResult:
-        """Reset, and remember over a restart of the host whether a human was asked for."""
+        """Reset, and save whether the robot needs a human."""
         try:
             return self.driver.reset(request)
         finally:
-            self._memory.keep_human(self.driver.after_human_help)
+            self._memory.save_human_needed(self.driver.after_human_help)
 
     def close(self) -> None:
         """Hold, disarm and disconnect."""
         self.driver.close()
 
-    def answers(self, seq: int) -> int:
-        """Return a sequence as the driver counts."""
-        return seq - self._ahead
+    def driver_seq(self, seq: int) -> int:
+        """Convert a sequence of this host's tick counter to the driver's."""
+        return seq - self._seq_offset
 
     def state(self) -> RobotState:
-        """Return the newest state, as this host counts, with the poses that others sent."""
+        """Return the newest state, with this host's tick counter and the poses of perception."""
         state = self.driver.measure()
         applied = state.applied
         if applied is not None:
             command = dataclasses.replace(
-                applied.command, answers=applied.command.answers + self._ahead
+                applied.command, answers=applied.command.answers + self._seq_offset
             )
-            applied = AppliedCommand(applied.tick + self._ahead, command, applied.clipped)
+            applied = AppliedCommand(applied.tick + self._seq_offset, command, applied.clipped)
         objects = {n: pose for n, pose in state.objects.items() if n not in self._perception}
-        objects |= {name: self._pose(name, state.stamp_ns) for name in self._seen}
+        objects |= {name: self._pose(name, state.stamp_ns) for name in self._poses}
         return dataclasses.replace(
-            state, seq=state.seq + self._ahead, applied=applied, objects=objects
+            state, seq=state.seq + self._seq_offset, applied=applied, objects=objects
         )
 
-    def see(self, name: str, message: ObjectMessage) -> None:
-        """Take the pose of an object from another publisher; older ones are dropped.
+    def take_pose(self, name: str, message: ObjectMessage) -> None:
+        """Take the pose of an object from another publisher; one older than the last is dropped.
 
         Raises:
-            InvalidRequest: Nobody asked for poses of this object, or it is not of this robot.
+            InvalidRequest: The robot has no such object, it is not an object of perception, or the
+                pose is in another frame, of a wrong shape or not finite.
         """
         if name not in self._perception or name not in self.spec.objects:
-            wanted = ", ".join(sorted(self._perception & self.spec.objects.keys())) or "of none"
-            raise InvalidRequest(f"pose of {name!r:.40} is not asked for; poses wanted: {wanted}")
+            allowed = ", ".join(sorted(self._perception & self.spec.objects.keys())) or "none"
+            raise InvalidRequest(
+                f"pose is of object {name!r:.40}, which is not one of perception, allowed: "
+                f"{allowed}"
+            )
         frame = self.spec.objects[name].frame
         if message.frame != frame:
             raise InvalidRequest(
@@ -171,30 +175,30 @@ class ServedRobot:
                 )
             if not np.isfinite(value).all():
                 raise InvalidRequest(f"{field} of {name!r} is {value}, allowed: finite numbers")
-        known = self._seen.get(name)
+        known = self._poses.get(name)
         if known is None or message.n > known[0].n:
-            self._seen[name] = (message, self._clock.now_ns())
+            self._poses[name] = (message, self._clock.now_ns())
 
     def stop(self, reason: str, fault: str) -> None:
-        """Stop, latch and write it down; from any thread, whatever scene is being loaded.
+        """Stop, latch the fault and save it. Thread-safe, also while another scene is loaded.
 
         Args:
-            reason: What happened, in words.
-            fault: Name under which it latches.
+            reason: What happened, for people.
+            fault: Name of the fault.
         """
         while True:
             driver = self.driver
             driver.stop(reason, fault)
-            self.keep_fault()
+            self.save_fault()
             if driver is self.driver:
                 return
 
-    def keep_fault(self) -> None:
-        """Write down the latched fault, if it has changed."""
-        self._memory.keep(lambda: self.driver.fault)
+    def save_fault(self) -> None:
+        """Save the latched fault, if it has changed."""
+        self._memory.save_fault(lambda: self.driver.fault)
 
     def _pose(self, name: str, now_ns: int) -> ObjectPose:
-        message, received_ns = self._seen[name]
+        message, received_ns = self._poses[name]
         age_ns = self._clock.now_ns() - received_ns + round(message.age_s * 1e9)
         return ObjectPose(
             pos=message.pos.copy(),
@@ -216,7 +220,7 @@ class ServedRobot:
         }
         return dataclasses.replace(spec, objects=objects) if self._perception else spec
 
-    def _latch_again(self) -> None:
+    def _restore_fault(self) -> None:
         fault = self._memory.fault
         if fault is not None:
             self.driver.stop(fault.reason, fault.name)

@@ -1,4 +1,4 @@
-"""What a host serves, and how strictly."""
+"""Settings of a host."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Any
 
 @dataclass(frozen=True)
 class HostSettings:
-    """Settings of one host. They travel to its processes.
+    """Settings of one host, shared by its processes.
 
     Attributes:
         name: Name of the robot on the network.
-        driver: Name of the driver that moves it.
-        options: For the driver.
+        driver: Name of the driver.
+        options: Options of the driver.
         listen: Zenoh endpoints to listen on.
         memory_path: Folder that outlives the host: latched fault, tick counter, ledger.
-        scene: The only scene served; None takes what a client's task needs.
+        scene: The only scene served; None serves the one that a client's task needs.
         security_path: File with certificates, users and roles; None for none.
-        insecure: Whether to listen beyond this machine without them.
-        without_joint_limits: Whether to serve a robot whose joint limits nobody enforces.
+        insecure: Whether to listen beyond this machine without security.
+        without_joint_limits: Whether to serve a robot that enforces no joint limits.
         perception: Objects whose poses come from another publisher.
-        deadman_s: Silence of an armed client after which it is disarmed.
-        command_age_ticks: Age of the state that a command answers past which it is refused.
-        lease_s: Silence of a client after which another may command.
+        deadman_s: Silence after which an armed client is disarmed.
+        command_age_ticks: Greatest age of a state that a command may answer, in control ticks.
+        lease_s: Silence after which a client loses its lease.
         tick_log_path: File that gets a line for each control tick; None for none.
     """
 

@@ -1,4 +1,4 @@
-"""The processes of a host: robot, gateway, and the watchdog that started them."""
+"""The processes of a host: robot process, gateway, and the watchdog that starts both."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ from iher_robot.host.tick_log import TickLog
 log = logging.getLogger(__name__)
 
 WATCHDOG_FAULT = "watchdog"
-_LOOK_S = 0.02
-_START_S = 120.0
-_END_S = 5.0
+_CHECK_PERIOD_S = 0.02
+_START_TIMEOUT_S = 120.0
+_END_TIMEOUT_S = 5.0
 _READY = b""
 _LOOP_PRIORITY = 20
 _GATEWAY_PRIORITY = 10
 
 
 class HostFailed(UserError):
-    """A host could not start, or ended by itself."""
+    """A host could not start, or ended unexpectedly."""
 
 
 class Host:
-    """A robot process and a gateway, watched from this process.
+    """A robot process and a gateway, with the watchdog in this process.
 
     Args:
-        settings: What to serve.
-        holder: Holds the robot from outside of the process that drives it, where the driver's
-            package brings such a function; else the robot's own hold on silence does.
+        settings: Settings of the host.
+        holder: Holds the robot from another process than the one that drives it. None where the
+            driver's package has no such function: then the robot's own hold on silence must do.
     """
 
     def __init__(self, settings: HostSettings, holder: Callable[[], None] | None = None) -> None:
@@ -65,7 +65,7 @@ class Host:
         self._gateway: SpawnProcess | None = None
 
     def start(self) -> None:
-        """Start both, and return once the robot is served.
+        """Start both processes, and return once the robot is served.
 
         Raises:
             HostFailed: One of them could not start; both have ended.
@@ -73,8 +73,8 @@ class Host:
         self._heartbeat.beat()
         robot_end, gateway_end = channel_ends()
         try:
-            self._robot = self._begin(run_robot, robot_end)
-            self._gateway = self._begin(run_gateway, gateway_end)
+            self._robot = self._start_process(run_robot, robot_end)
+            self._gateway = self._start_process(run_gateway, gateway_end)
         except BaseException:
             self.stop()
             raise
@@ -83,7 +83,7 @@ class Host:
             gateway_end.close()
 
     def watch(self) -> None:
-        """Watch until the host is asked to end, by an exception such as an interrupt.
+        """Run the watchdog until an exception, such as an interrupt, ends it.
 
         Raises:
             HostFailed: A process ended, or the control loop froze: it is killed, the robot is
@@ -97,13 +97,13 @@ class Host:
             for process, what in ((self._robot, "robot process"), (self._gateway, "gateway")):
                 if not process.is_alive():
                     if process is self._robot:
-                        self._hold_from_outside()
+                        self._call_holder()
                     raise HostFailed(
-                        f"the {what} of {self._settings.name!r} ended by itself with exit code "
+                        f"the {what} of {self._settings.name!r} ended with exit code "
                         f"{process.exitcode}; the robot is held; see its messages above, then "
                         "start the host again"
                     )
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_PERIOD_S)
 
     def stop(self) -> None:
         """End both processes; the robot is held, disarmed and disconnected first."""
@@ -111,43 +111,43 @@ class Host:
         for process in (self._robot, self._gateway):
             if process is None:
                 continue
-            deadline = time.monotonic() + _END_S
+            deadline = time.monotonic() + _END_TIMEOUT_S
             while process.is_alive() and time.monotonic() < deadline:
                 self._heartbeat.beat()
-                process.join(_LOOK_S)
+                process.join(_CHECK_PERIOD_S)
             if process.is_alive():
-                log.error("%s does not end by itself and is killed", process.name)
+                log.error("%s did not end within %g s and is killed", process.name, _END_TIMEOUT_S)
                 process.kill()
                 process.join()
 
     def _intervene(self) -> None:
-        """Hold the robot of a control loop that does not come back."""
+        """Kill a control loop that missed its deadline, hold the robot and latch the fault."""
         assert self._robot is not None
         overdue_ms = 1e3 * self._heartbeat.overdue_s
-        # It may wake up at any time and go on as if nothing had happened.
+        # It may resume at any time and command the robot.
         self._robot.kill()
         self._robot.join()
-        reason = f"the control loop was frozen (by {overdue_ms:.0f} ms when it was seen)"
-        self._hold_from_outside()
+        reason = f"the control loop was frozen ({overdue_ms:.0f} ms past its deadline)"
+        self._call_holder()
         memory = RobotMemory(self._settings.memory_path)
         kept = memory.fault or Fault(WATCHDOG_FAULT, reason, 0)  # the first stop is kept
-        memory.keep(lambda: kept)
+        memory.save_fault(lambda: kept)
         raise HostFailed(
-            f"robot {self._settings.name!r}: {reason}; it was ended, the robot is held and the "
-            "fault latched; find out why, start the host again, then: iher-robot clear-fault "
+            f"robot {self._settings.name!r}: {reason} and was killed, the robot is held and the "
+            "fault latched; find the cause, start the host again, then: iher-robot clear-fault "
             f"{kept.name}"
         )
 
-    def _hold_from_outside(self) -> None:
-        """Hold a robot whose process is gone, where its driver's package says how."""
+    def _call_holder(self) -> None:
+        """Hold a robot whose process is gone, if the driver's package has a holder."""
         if self._holder is None:
-            return  # the robot's own hold on silence does
+            return  # the robot holds on silence
         try:
             self._holder()
         except Exception:  # whatever a holder raises, the fault must still be latched
             log.exception("the holder of %r failed; use the robot's own stop", self._settings.name)
 
-    def _begin(self, target: Callable[..., None], end: socket.socket) -> SpawnProcess:
+    def _start_process(self, target: Callable[..., None], end: socket.socket) -> SpawnProcess:
         receiving, sending = self._context.Pipe(duplex=False)
         process = self._context.Process(
             target=target,
@@ -157,19 +157,21 @@ class Host:
         process.start()
         sending.close()
         with receiving:
-            deadline = time.monotonic() + _START_S
-            while not receiving.poll(_LOOK_S):
+            deadline = time.monotonic() + _START_TIMEOUT_S
+            while not receiving.poll(_CHECK_PERIOD_S):
                 self._heartbeat.beat()
                 if time.monotonic() > deadline:
                     process.kill()
-                    raise HostFailed(f"{target.__name__} did not start within {_START_S:g} s")
+                    raise HostFailed(
+                        f"{target.__name__} did not start within {_START_TIMEOUT_S:g} s"
+                    )
             try:
                 problem = receiving.recv_bytes()
             except EOFError:
                 process.join()
                 raise HostFailed(
-                    f"{target.__name__} ended while it started, exit code {process.exitcode}; see "
-                    "its messages above"
+                    f"{target.__name__} ended while it started, with exit code {process.exitcode}; "
+                    "see its messages above"
                 ) from None
         if problem != _READY:
             process.join()
@@ -178,18 +180,18 @@ class Host:
 
 
 def run_robot(
-    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, starter: Connection
+    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, startup: Connection
 ) -> None:
-    """Be the robot process.
+    """Run the control loop: the entry point of the robot process.
 
     Args:
-        settings: Of the host.
+        settings: Settings of the host.
         heartbeat: Shared with the watchdog.
-        end: Channel to the gateway.
-        starter: Told what is wrong, nothing if the robot is ready to be served.
+        end: This process's end of the channel to the gateway.
+        startup: Gets an error message, or an empty one once the robot is served.
     """
-    _leave_signals_to_the_watchdog()
-    _run_before_others(_LOOP_PRIORITY)
+    _ignore_signals()
+    _request_real_time_priority(_LOOP_PRIORITY)
     clock = MonotonicClock()
     try:
         memory = RobotMemory(settings.memory_path)
@@ -201,43 +203,43 @@ def run_robot(
             robot = ServedRobot(make, settings.scene, memory, settings.perception, clock)
             channel = Channel(end)
             loop = ControlLoop(settings, robot, total, memory, channel, heartbeat, clock, tick_log)
-            loop.run(lambda: _say(starter, _READY))
+            loop.run(lambda: _report(startup, _READY))
     except (UserError, DriverError) as error:
-        if starter.closed:
+        if startup.closed:
             log.error("%s", error)
             sys.exit(1)
-        _say(starter, str(error).encode())
+        _report(startup, str(error).encode())
 
 
 def run_gateway(
-    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, starter: Connection
+    settings: HostSettings, heartbeat: Heartbeat, end: socket.socket, startup: Connection
 ) -> None:
-    """Be the gateway; see `run_robot`."""
+    """Run the gateway: the entry point of its process. Arguments as for `run_robot`."""
     del heartbeat
-    _leave_signals_to_the_watchdog()
-    _run_before_others(_GATEWAY_PRIORITY)
+    _ignore_signals()
+    _request_real_time_priority(_GATEWAY_PRIORITY)
     try:
         security = read_security(settings.security_path)
         config = gateway_config(settings.name, settings.listen, security, settings.insecure)
         session = zenoh.open(config)
     except (UserError, DriverError) as error:
-        _say(starter, str(error).encode())
+        _report(startup, str(error).encode())
         return
     except zenoh.ZError as error:
         where = ", ".join(settings.listen)
-        reason = str(error).split(" at /")[0]  # then comes where in Zenoh's sources
-        problem = f"cannot listen on {where}: {reason}; is another host running there?"
-        _say(starter, f"{problem} choose another --listen".encode())
+        reason = str(error).split(" at /")[0]  # without the place in Zenoh's sources
+        problem = f"cannot listen on {where}: {reason}; if another host runs there, choose another"
+        _report(startup, f"{problem} --listen".encode())
         return
     with session:
         gateway = Gateway(session, settings.name, Channel(end))
-        _say(starter, _READY)
+        _report(startup, _READY)
         gateway.run()
 
 
-def _say(starter: Connection, problem: bytes) -> None:
-    starter.send_bytes(problem)
-    starter.close()
+def _report(startup: Connection, problem: bytes) -> None:
+    startup.send_bytes(problem)
+    startup.close()
 
 
 def _make_served(settings: HostSettings, scene: str) -> RobotDriver:
@@ -245,24 +247,27 @@ def _make_served(settings: HostSettings, scene: str) -> RobotDriver:
     spec = driver.spec
     if not spec.enforces_joint_limits and not settings.without_joint_limits:
         raise UserError(
-            f"{spec.name} enforces no joint limits, so that nothing keeps its joints from moving "
-            "too fast; serve another robot, or this one with --without-joint-limits"
+            f"{spec.name} enforces no joint limits: its joints may move too fast; serve another "
+            "robot, or this one with --without-joint-limits"
         )
     if driver.exclusive and not spec.physical:
-        raise UserError(f"driver {settings.driver!r} is itself a remote one; serve the robot there")
+        raise UserError(
+            f"driver is {settings.driver!r}, whose robot is already served by another host; name "
+            "the driver that moves the robot"
+        )
     return driver
 
 
-def _run_before_others(priority: int) -> None:
-    """Ask for real-time scheduling: a tick must not wait for whatever else computes here."""
+def _request_real_time_priority(priority: int) -> None:
+    """Request real-time scheduling: a tick must not wait for other processes."""
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
-    except PermissionError:  # usual without rights of its own; the ticks are a little less even
+    except PermissionError:  # the usual case; ticks are a little less regular
         log.info("no real-time scheduling: the system does not permit it")
 
 
-def _leave_signals_to_the_watchdog() -> None:
-    # A Ctrl-C reaches every process of the terminal; the watchdog ends these two in order.
+def _ignore_signals() -> None:
+    # Ctrl-C reaches every process of the terminal; the watchdog ends these two in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""A black box on the robot's side: one line of JSON for each control tick."""
+"""Log of a host's control ticks: one line of JSON for each."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from iher_robot.errors import UserError
 
 log = logging.getLogger(__name__)
 
-_WAITING_LINES = 1500
+_MAX_WAITING_LINES = 1500
 _CLOSING_S = 2.0
 
 
 class TickLog(Closing):
-    """Appends what the robot did in each tick to a file, and never keeps the robot waiting.
+    """Appends a line for each tick to a file, without ever blocking the control loop.
 
-    A thread of its own writes. Each line goes to the operating system at once, without a sync: it
-    outlives the host, and not a power cut. While the disk is full, fails or is too slow, ticks are
-    left out and counted. A line that was cut off is followed by a whole one.
+    A separate thread writes. Each line goes to the operating system at once, without a sync: it
+    survives a crash of the host, but not a power cut. While the disk is full, fails or is too slow,
+    ticks are left out and counted. A line that was cut off does not damage the next one.
 
     Attributes:
         lost: Ticks that were left out.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the file, to go on at its end.
+        """Open the file for appending.
 
         Args:
             path: The file; created if it does not exist.
@@ -53,23 +53,23 @@ class TickLog(Closing):
                 f"cannot write tick log {path}: {error.strerror or error}; choose another file "
                 "with --tick-log"
             ) from error
-        self._counting = threading.Lock()
-        self._waiting: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._count_lock = threading.Lock()
+        self._lines: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._write, daemon=True, name="tick log")
         self._thread.start()
 
     def add(self, state: RobotState, info: HostInfo, now_ns: int) -> None:
-        """Log a tick that has ended. This never waits.
+        """Log a tick that has ended. Never blocks.
 
         Args:
-            state: What the robot reported then.
-            info: What the host said with it.
-            now_ns: When that was, on the host's monotonic clock.
+            state: State of the robot at its end.
+            info: Published with that state.
+            now_ns: Time of publication, on the host's monotonic clock.
         """
-        if self._waiting.qsize() >= _WAITING_LINES:
-            self._lose("the disk is too slow")
+        if self._lines.qsize() >= _MAX_WAITING_LINES:
+            self._leave_out("the disk is too slow")
             return
-        self._waiting.put(
+        self._lines.put(
             {
                 "boot": info.boot,
                 "seq": state.seq,
@@ -86,38 +86,38 @@ class TickLog(Closing):
         )
 
     def close(self) -> None:
-        """Write what waits, unless the disk takes longer than the end of a host may."""
-        self._waiting.put(None)
+        """Write the lines that wait, for at most 2 s, and close the file."""
+        self._lines.put(None)
         self._thread.join(_CLOSING_S)
         if not self._thread.is_alive():
             self._file.close()
 
     def _write(self) -> None:
-        while (entry := self._waiting.get()) is not None:
+        while (entry := self._lines.get()) is not None:
             line = json.dumps(entry, separators=(",", ":")).encode() + b"\n"
             if self._cut_off:
                 line = b"\n" + line
             try:
                 written = self._file.write(line)
             except OSError as error:
-                self._lose(error.strerror or str(error))
+                self._leave_out(error.strerror or str(error))
                 continue
             self._cut_off = written != len(line)
             if self._cut_off:
-                self._lose("no space for a whole line")
+                self._leave_out("no space for a whole line")
 
-    def _lose(self, reason: str) -> None:
-        with self._counting:
+    def _leave_out(self, reason: str) -> None:
+        with self._count_lock:
             self.lost += 1
             first = self.lost == 1
         if first:
             log.warning(
-                "tick log %s leaves out ticks: %s; the robot goes on without it", self._path, reason
+                "tick log %s leaves out ticks: %s; the robot keeps running", self._path, reason
             )
 
 
 def _applied(state: RobotState) -> dict[str, Any] | None:
-    """Say which command was in force in the tick that ended with a state; None for none."""
+    """Return the command applied in the tick that ended with a state, None if none was."""
     applied = state.applied
     if applied is None or applied.tick != state.seq:
         return None

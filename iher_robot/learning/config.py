@@ -6,7 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from iher_robot.learning.networks.precision import Precision
+# Nothing here loads torch: settings are read by commands that compute nothing.
+Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+
+MOVED_M = 0.01
+"""Displacement of the achieved goal, m, above which an episode counts as one that moved it."""
 
 
 def _none_if_off(value: object) -> object:
@@ -14,17 +18,17 @@ def _none_if_off(value: object) -> object:
 
 
 OR_OFF = BeforeValidator(_none_if_off)
-"""Reads ``off`` as None: on the command line, where None cannot be written."""
+"""Reads ``off`` as None, which the command line cannot express."""
 
 
 class Section(BaseModel):
-    """Base of every group of settings: frozen, and an unknown key is an error."""
+    """Base of every group of settings: frozen; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class ScheduleConfig(Section):
-    """How much of what happens in an epoch (paper, appendix, "Hyperparameters")."""
+    """Amounts of data and training in an epoch (paper, appendix, "Hyperparameters")."""
 
     workers: int = Field(8, ge=1, le=1024)
     """Averaged workers of the paper; batches and rollouts below are multiplied by it."""
@@ -41,10 +45,10 @@ class ScheduleConfig(Section):
     first_epoch_dynamics_factor: int = Field(5, ge=1)
     """Multiplies K in the first epoch."""
     policy_copy_cycles: int = Field(50, ge=1)
-    """A copy of the policy is kept for refilling after every so many cycles."""
+    """Cycles from one copy of the policy, kept for refilling, to the next."""
     updates_per_step: Annotated[float | None, OR_OFF] = Field(None, gt=0.0, le=1000.0)
     """Gradient updates for each real step that an epoch collected; ``off`` makes C x N an epoch,
-    as in the paper. A cycle still has N of them, the last one what is left."""
+    as in the paper. A cycle still has N of them, the last one the remainder."""
 
     @property
     def real_episodes(self) -> int:
@@ -58,24 +62,24 @@ class ScheduleConfig(Section):
 
 
 class DDPGConfig(Section):
-    """The off-policy learner; defaults of the HER reference implementation."""
+    """The off-policy algorithm; defaults of the HER reference implementation."""
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Widths of the hidden layers of actor and critic."""
     critics: int = Field(1, ge=1, le=100)
     """Critics in the ensemble; the actor maximises their mean (Chen et al. 2021, REDQ)."""
     target_subset: int = Field(1, ge=1, le=100)
-    """Target critics, drawn anew for each update, whose minimum is bootstrapped from."""
+    """Target critics, drawn for each update, whose minimum is bootstrapped from."""
     inputs: Literal["absolute", "relative"] = "absolute"
-    """What actor and critics see: observation and goal as they are; or the goal relative to what
-    is achieved, and of both only what a shift of the whole scene leaves as it is."""
+    """Input of actor and critics: observation and goal as they are; or the goal relative to the
+    achieved one, and only those entries that a shift of the whole scene does not change."""
     layer_norm: bool = False
     """Normalise each hidden layer of the critics (Ball et al. 2023, RLPD)."""
     policy_average: Annotated[float | None, OR_OFF] = Field(None, gt=0.0, lt=1.0)
-    """Share of the actor that enters a running mean of its weights at each update; the mean acts,
-    in real episodes and as the result. ``off`` acts with the newest weights."""
+    """Share of the actor that enters a running mean of its weights at each update; the mean acts
+    in real episodes and is the trained policy. ``off`` acts with the newest weights."""
     component_critics: bool = False
-    """Critics of their own for extrinsic and intrinsic reward; the actor maximises the sum."""
+    """Separate critics for extrinsic and intrinsic reward; the actor maximises their sum."""
     batch_size: int = Field(256, ge=1)
     """Transitions an update and worker."""
     gamma: float = Field(0.98, ge=0.0, lt=1.0)
@@ -85,7 +89,7 @@ class DDPGConfig(Section):
     tau: float = Field(0.05, gt=0.0, le=1.0)
     """Share of the online networks that enters the targets at each target update."""
     target_update: Literal["cycle", "update"] = "cycle"
-    """When the targets are moved: at the end of a cycle, as in the paper, or at each update."""
+    """When the targets are updated: at the end of a cycle, as in the paper, or at each update."""
     actor_lr: float = Field(1e-3, gt=0.0, le=1.0)
     """Adam's step size for the actor."""
     critic_lr: float = Field(1e-3, gt=0.0, le=1.0)
@@ -93,10 +97,10 @@ class DDPGConfig(Section):
     action_l2: float = Field(1.0, ge=0.0)
     """Weight of the mean squared action in the actor's loss."""
     clip_target: Literal["her", "intrinsic", "off"] = "her"
-    """Range of the critic's targets: [-1/(1-gamma), 0], the same with eta/(1-gamma) on top, or
-    none."""
+    """Range of the critic's targets: [-1/(1-gamma), 0], [-1/(1-gamma), eta/(1-gamma)], or
+    unbounded."""
     source_input: bool = True
-    """Tell actor and critic which source a transition is from (``env_is_real``)."""
+    """Give actor and critic the source of a transition as an input (``env_is_real``)."""
 
     @model_validator(mode="after")
     def _subset_is_no_more_than_all(self) -> Self:
@@ -116,17 +120,17 @@ class ReplayConfig(Section):
     future_fraction: float = Field(0.8, ge=0.0, le=1.0)
     """Share of sampled transitions whose goal is one achieved later in their episode."""
     still_weight: float = Field(1.0, gt=0.0, le=1.0)
-    """How likely a transition is drawn, against others, whose episode's achieved goal never moved
-    by more than ``moved_m``: there hindsight teaches little."""
-    moved_m: float = Field(0.01, gt=0.0)
-    """Displacement of the achieved goal, m, from which an episode counts as one that moved it."""
+    """Sampling weight, against 1, of a transition whose episode's achieved goal never moved by
+    more than ``moved_m``: there hindsight teaches little."""
+    moved_m: float = Field(MOVED_M, gt=0.0)
+    """Displacement of the achieved goal, m, above which an episode counts as having moved it."""
     actions: Literal["applied", "between"] = "applied"
-    """Which actions of the robot are learned from: those that were applied; or any between the
-    applied and the requested one, which all come to the same where a request was cut down. A cached
-    intrinsic reward is that of the applied one."""
+    """Actions to learn from: the applied ones; or any between the applied and the requested one,
+    which all have the same outcome where a request was clipped. A cached intrinsic reward is that
+    of the applied one."""
     tolerance: float = Field(1.0, gt=0.0, le=1.0)
-    """Share of the task's own tolerance within which a goal counts as reached while learning, so
-    that a policy does not learn to stop at the very edge. Success is judged by the task's own."""
+    """Share of the task's tolerance within which a goal counts as reached while learning, so that
+    a policy does not learn to stop at the very edge. Success is judged by the full tolerance."""
     normalizer_clip: float = Field(5.0, gt=0.0)
     """Normalised inputs of the policy are clipped to this many standard deviations."""
     normalizer_std_floor: float = Field(0.01, gt=0.0)
@@ -151,8 +155,8 @@ class DynamicsConfig(Section):
     std_floor: float = Field(1e-3, gt=0.0)
     """Smallest standard deviation of the model's normalisers, in the observation's units."""
     inputs: Literal["absolute", "relative"] = "absolute"
-    """What the models see: the observation as it is, or only what a shift of the whole scene
-    leaves as it is."""
+    """Input of the models: the observation as it is, or only those entries that a shift of the
+    whole scene does not change."""
 
     @model_validator(mode="after")
     def _some_transition_has_weight(self) -> Self:
@@ -165,23 +169,23 @@ class DynamicsConfig(Section):
 
 
 class ImaginationConfig(Section):
-    """Imaginary rollouts and how the learner uses them."""
+    """Imaginary rollouts and their use."""
 
     enabled: bool = True
-    """Learn a dynamics ensemble and from what it imagines; off for the model-free baselines."""
+    """Learn a dynamics ensemble, and from its rollouts; off for the model-free baselines."""
     regenerate: bool = True
     """Clear and refill the imaginary source after each model update."""
     branch_ticks: Annotated[int | None, OR_OFF] = Field(None, ge=1)
     """Ticks of an imaginary rollout that begins at any real state, with its goal, relabelled or
-    not; such rollouts live until the models change (Janner et al. 2019, MBPO). ``off`` imagines
-    whole episodes from real starts, as in the paper."""
+    not; such branches are dropped when the models change (Janner et al. 2019, MBPO). ``off``
+    imagines whole episodes from real starts, as in the paper."""
     share: Annotated[float | None, OR_OFF] = Field(None, ge=0.0, le=1.0)
     """Imagined share of each batch; ``off`` takes the paper's p(imag), the share of newly imagined
     transitions in all transitions collected so far."""
     keep: float = Field(1.0, gt=0.0, le=1.0)
-    """Share of the imagined rollouts that is kept: those on which the models agree best."""
+    """Share of the imagined rollouts to keep: those on which the models agree best."""
     state_margin: float = Field(0.1, ge=0.0)
-    """Imagined observations are bounded to the real data's range, widened by this share."""
+    """Imagined observations are clipped to the real data's range, widened by this share."""
 
 
 class IntrinsicConfig(Section):
@@ -194,7 +198,7 @@ class IntrinsicConfig(Section):
     clip: float = Field(0.8, gt=0.0)
     """eta: the largest intrinsic reward."""
     reduce: Literal["mean", "sum"] = "mean"
-    """How the variances of the observation's dimensions become one number."""
+    """Reduction of the variances over the observation's dimensions."""
 
 
 class ExplorationConfig(Section):
@@ -209,50 +213,50 @@ class ExplorationConfig(Section):
 
 
 class SymmetryConfig(Section):
-    """Images of what happened: the task declares which maps leave it unchanged."""
+    """Data augmentation with the task's symmetries."""
 
     enabled: bool = False
-    """Replace every transition that is sampled, for the policy and for the models, and every
-    start of an imaginary rollout, by a random image of it."""
+    """Replace each sampled transition, for the policy and for the models, and each start of an
+    imaginary rollout by a random image of it."""
     rough: bool = False
-    """Among the maps are those that the task declares to hold only roughly, if it declares any for
-    such a robot."""
+    """Include maps that the task declares to hold only approximately, if it declares any for
+    the robot."""
 
 
 class ContactConfig(Section):
-    """Contact first: a second policy brings the effector to the object while exploring."""
+    """Contact-first exploration: a second policy brings the effector to the object."""
 
     enabled: bool = False
-    """Train it, by hindsight on the same real data, and let it explore."""
+    """Train the second policy, by hindsight on the same real data, and let it explore."""
     share: float = Field(0.5, ge=0.0, le=1.0)
-    """Share of the steps that it takes in the episodes in which it explores."""
+    """Share of the steps that the second policy takes in episodes in which it explores."""
     episodes: float = Field(1.0, ge=0.0, le=1.0)
-    """Share of the episodes in which it explores once it rests; before it does in all of them."""
+    """Share of the episodes in which it explores once it rests; before, it explores in all."""
     again_m: Annotated[float | None, OR_OFF] = Field(None, gt=0.0)
-    """Once the object was reached, or pushed by this much, m, approach it anew, to the end of the
-    episode; ``off`` leaves all that follows the first touch to the policy."""
+    """Approach the object again whenever it was reached or pushed by this much, m, until the
+    episode ends; ``off`` leaves all steps after the first touch to the policy."""
     hand_over: float = Field(0.0, ge=0.0, le=1.0)
-    """With ``again_m``: chance at each touch that the policy has the rest of the episode."""
+    """With ``again_m``: probability at each touch that the policy takes the rest of the episode."""
     hand_ticks: int = Field(5, ge=0)
-    """Ticks in which it waits for a hand at the object and at the points around it."""
+    """Ticks to wait for the hand to move, at the object and at the points around it."""
     radius_m: float = Field(0.03, gt=0.0)
-    """The second policy's goal is reached within this distance, m, and the object touched."""
+    """Distance, m, within which the second policy's goal is reached and the object touched."""
     touched_m: float = Field(0.01, gt=0.0)
-    """The object counts as touched, too, once it was moved by this much, m; large, where only the
-    hand about it counts."""
+    """The object also counts as touched once it moved by this much, m; large, where only the hand
+    around it counts."""
     around_share: float = Field(0.0, ge=0.0, le=1.0)
-    """Share of the approaches that go to a point around the object first, so that the object is
-    touched from every side."""
+    """Share of the approaches that first go to a point around the object, so that it is touched
+    from every side."""
     around_m: float = Field(0.12, gt=0.0)
-    """That point is drawn for each approach up to this far from the object along each axis, and
-    not below it, m."""
+    """Largest distance of that point from the object along each axis, m; it is drawn for each
+    approach, and never below the object."""
     hidden: tuple[int, ...] = (128, 128)
-    """Widths of the hidden layers of its actor and of its critic, of which it has one."""
+    """Widths of the hidden layers of its actor and of its only critic."""
     updates_per_step: float = Field(1.0, gt=0.0, le=1000.0)
     """Its gradient updates for each real step."""
     until_touched: float = Field(0.9, gt=0.0, le=1.0)
-    """It rests, and is not trained any more, once the object was touched in this share of 20
-    episodes in a row."""
+    """It rests, which ends its training, once the object was touched in this share of the last 20
+    episodes."""
 
 
 class LearnerConfig(Section):
@@ -269,9 +273,9 @@ class LearnerConfig(Section):
     contact: ContactConfig = ContactConfig()
     matmul_precision: Precision = "auto"
     """Precision of matrix products: of float32 ones as in ``torch.set_float32_matmul_precision``,
-    where what ``medium`` does is up to the hardware; or ``bfloat16`` between hidden layers, while
-    weights, their gradients' sums and moments, and the first and the last layer stay float32;
-    ``auto`` takes bfloat16 where the hardware has instructions for it, else ``medium``."""
+    where ``medium`` depends on the hardware; or ``bfloat16`` between hidden layers, while weights,
+    their gradients' sums and moments, and the first and the last layer stay float32; ``auto`` is
+    bfloat16 where the hardware has instructions for it, else ``medium``."""
     cuda_graphs: bool = False
-    """On a GPU, record a block of updates once and replay it, in place of launching each kernel.
-    Not where ``ddpg.target_subset`` draws from more critics. Nobody has run it yet: off."""
+    """On a GPU, capture a block of updates once and replay it, instead of launching each kernel.
+    No effect where ``ddpg.target_subset`` is less than ``critics``. Not yet tested on a GPU."""

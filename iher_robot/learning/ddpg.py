@@ -1,38 +1,35 @@
-"""Deep deterministic policy gradients (Lillicrap et al. 2016) on goal-conditioned batches."""
+"""Deep deterministic policy gradient (Lillicrap et al. 2016) on goal-conditioned batches."""
 
 from __future__ import annotations
 
-import copy
 from collections import defaultdict
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import torch
-from torch import nn
 
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
+from iher_robot.learning.networks.actor_critic import ActorCritic
 from iher_robot.learning.networks.critics import Critics
-from iher_robot.learning.networks.cuda_graphs import Captured, Tensors
-from iher_robot.learning.networks.data_parallel import ALONE, Peers
-from iher_robot.learning.networks.flat_parameters import Flat
+from iher_robot.learning.networks.cuda_graphs import CudaGraphs, Tensors
+from iher_robot.learning.networks.data_parallel import ALONE, Peers, average_values
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 
 
 def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:
     """Range to which the critics' targets are clipped.
 
-    Without intrinsic rewards no return can lie outside [-1/(1-gamma), 0]; the reference
-    implementation of HER clips to it, and so do we unless told otherwise.
+    Without intrinsic rewards no return lies outside [-1/(1-gamma), 0]; the reference
+    implementation of HER clips to it, which is the default here.
 
     Args:
-        config: Discount factor, intrinsic clip, which range, and whether the reward's
-            components have critics of their own.
+        config: Discount factor, intrinsic clip, which range, and whether each component of the
+            reward has its own critics.
 
     Returns:
-        Lower and upper bound for each component: one for the sum of the rewards, or those of
+        Lower and upper bound of each component: one for the sum of the rewards, or one each for
         extrinsic and intrinsic reward.
     """
     ddpg = config.ddpg
@@ -47,29 +44,29 @@ def target_bounds(config: LearnerConfig) -> list[tuple[float, float]]:
 
 
 @dataclass(frozen=True)
-class Steps:
-    """What the networks see of some gradient steps; slices of it are what they see of one.
+class Minibatches:
+    """Minibatches of several gradient steps, as the networks see them.
 
     Attributes:
         features: Of observation and goal. ``(steps, batch, input_dim)``
         action: ``(steps, batch, action_dim)``
         next_features: Of next observation and goal. ``(steps, batch, input_dim)``
         reward: Of each component. ``(steps, components, batch)``
-        members: Target critics that each step bootstraps from; None for all of them.
+        target_subsets: Target critics that each step bootstraps from; None for all of them.
     """
 
     features: torch.Tensor
     action: torch.Tensor
     next_features: torch.Tensor
     reward: torch.Tensor
-    members: list[list[int]] | None = None
+    target_subsets: list[list[int]] | None = None
 
 
 class DDPG:
-    """Actor, critics, their targets and optimisers.
+    """Off-policy learner: trains a policy on batches of transitions.
 
     Args:
-        policy: The policy that is trained, in place.
+        policy: The policy, trained in place.
         shapes: Sizes of the arrays.
         config: Settings.
         generator: Draws the critics' initial weights and the subsets of target critics, on the
@@ -89,8 +86,9 @@ class DDPG:
         peers: Peers = ALONE,
     ) -> None:
         self.policy = policy
-        self._peers = peers
         self.config = config
+        self._peers = peers
+        self._generator = generator
         bounds = torch.tensor(target_bounds(config), device=device)
         self._low, self._high = bounds[:, :1], bounds[:, 1:]  # (components, 1)
         self.critics = Critics(
@@ -98,207 +96,143 @@ class DDPG:
             config.ddpg,
             components=len(bounds),
             generator=generator,
-            products=policy.products,
+            matmul_dtype=policy.matmul_dtype,
         ).to(device)
-        self._generator = generator
-        self._updates = torch.zeros((), dtype=torch.long, device=device)
-        self._phase = 0
-        self._target_actor = copy.deepcopy(policy.actor)
-        self._mean_actor = copy.deepcopy(policy.actor)
-        self._target_critics = copy.deepcopy(self.critics)
-        self._flat = {name: Flat(module) for name, module in self._modules().items()}
-        # What other processes take part in is not recorded.
-        graphs = config.cuda_graphs and device.type == "cuda" and peers.world_size == 1
-        self._captured = Captured() if graphs else None
-        self._optimizers = {
-            name: torch.optim.Adam([self._flat[name].values], lr=lr, fused=True, capturable=graphs)
-            for name, lr in (("actor", config.ddpg.actor_lr), ("critics", config.ddpg.critic_lr))
-        }
-
-    @torch.no_grad()
-    def targets(self, batch: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
-        """Bootstrapped targets of the critics.
-
-        Episodes end by time, never by success, so every transition bootstraps.
-
-        Args:
-            batch: Transitions.
-
-        Returns:
-            Clipped targets, and whether each was clipped. ``(components, batch)`` each
-        """
-        return self._targets(self._steps(batch, 1), 0)
-
-    @torch.no_grad()
-    def _steps(self, block: Transitions, count: int) -> Steps:
-        # All at once: only the networks change from one step to the next.
-        policy = self.policy
-        reward = torch.stack([block.extrinsic, block.intrinsic])
-        if not self.config.ddpg.component_critics:
-            reward = reward.sum(dim=0, keepdim=True)
-        return Steps(
-            features=policy.features(block.observation, block.goal, block.source).unflatten(
-                0, (count, -1)
-            ),
-            action=block.action.unflatten(0, (count, -1)),
-            next_features=policy.features(
-                block.next_observation, block.goal, block.source
-            ).unflatten(0, (count, -1)),
-            reward=reward.unflatten(1, (count, -1)).transpose(0, 1),
-            members=self._subsets(count),
+        # A graph cannot capture communication with other processes.
+        captures = config.cuda_graphs and device.type == "cuda" and peers.world_size == 1
+        self._graphs = CudaGraphs() if captures else None
+        self._networks = ActorCritic(
+            policy.actor, self.critics, config.ddpg, capturable=captures, peers=peers
         )
-
-    def _subsets(self, count: int) -> list[list[int]] | None:
-        critics, size = self.config.ddpg.critics, self.config.ddpg.target_subset
-        if size == critics:
-            return None
-        drawn = (torch.randperm(critics, generator=self._generator) for _ in range(count))
-        return [permutation[:size].tolist() for permutation in drawn]
-
-    @torch.no_grad()
-    def _targets(self, steps: Steps, step: int) -> tuple[torch.Tensor, torch.Tensor]:
-        features = steps.next_features[step]
-        action = self.policy.action(features, self._target_actor)
-        members = None if steps.members is None else steps.members[step]
-        value = self._target_critics(features, action, members).amin(dim=1)
-        raw = steps.reward[step] + self.config.ddpg.gamma * value
-        clipped = raw.clamp(self._low, self._high)
-        return clipped, clipped != raw
+        self._updates = torch.zeros((), dtype=torch.long, device=device)
+        self._phase = 0  # updates modulo actor_period, on the host
 
     def update(self, batch: Transitions) -> dict[str, torch.Tensor]:
-        """One gradient step of the critics, and of the actor if it is its turn.
-
-        Args:
-            batch: Transitions.
-
-        Returns:
-            As ``update_block``.
-        """
+        """Take one gradient step; ``update_block`` with one batch."""
         return self.update_block(batch, 1)
 
     def update_block(self, block: Transitions, count: int) -> dict[str, torch.Tensor]:
-        """Take gradient steps of the critics, and of the actor whenever it is its turn.
+        """Take gradient steps, one for each batch of a block.
 
         Args:
-            block: Transitions, as many for each step, one step's behind the other's; the same for
-                all peers, of which each computes on its share.
-            count: Steps.
+            block: Batches of equal size, concatenated; the same for all peers, each of which
+                computes on its shard.
+            count: Batches.
 
         Returns:
-            Values of each step, and of the actor's steps; tensors, so that a GPU need not wait.
+            Metrics of each step, and of each actor step; tensors, so that a GPU need not wait.
             ``(steps,)``
         """
-        steps, phase = self._steps(block.share(count, self._peers), count), self._phase
+        batches, phase = self._minibatches(block.shard(count, self._peers), count), self._phase
         self._phase = (phase + count) % self.config.ddpg.actor_period
-        if self._captured is None or steps.members is not None:
-            return self._averaged(self._take(steps, phase))
-        tensors = (steps.features, steps.action, steps.next_features, steps.reward)
-        return self._captured.run((count, phase), tensors, partial(self._take_captured, phase))
+        if self._graphs is None or batches.target_subsets is not None:
+            return average_values(self._train(batches, phase), self._peers)
 
-    def _averaged(self, report: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        if self._peers.world_size == 1:
-            return report
-        values = torch.cat(list(report.values()))
-        self._peers.average(values)
-        parts = values.split([len(each) for each in report.values()])
-        return dict(zip(report, parts, strict=True))
+        def train(inputs: Tensors) -> dict[str, torch.Tensor]:
+            features, action, next_features, reward = inputs
+            return self._train(Minibatches(features, action, next_features, reward), phase)
 
-    def _take_captured(self, phase: int, tensors: Tensors) -> dict[str, torch.Tensor]:
-        features, action, next_features, reward = tensors
-        return self._take(Steps(features, action, next_features, reward), phase)
+        inputs = (batches.features, batches.action, batches.next_features, batches.reward)
+        return self._graphs.run((count, phase), inputs, train)
 
-    def _take(self, steps: Steps, phase: int) -> dict[str, torch.Tensor]:
-        reports: dict[str, list[torch.Tensor]] = defaultdict(list)
-        period = self.config.ddpg.actor_period
-        for step in range(len(steps.features)):
-            report = self._update(steps, step, moves_actor=(phase + step) % period == 0)
-            for name, value in report.items():
-                reports[name].append(value)
-        return {name: torch.stack(values) for name, values in reports.items()}
+    def _train(self, batches: Minibatches, phase: int) -> dict[str, torch.Tensor]:
+        """Take the gradient steps; ``phase`` counts updates since the actor's turn."""
+        config, networks = self.config.ddpg, self._networks
+        metrics: dict[str, list[torch.Tensor]] = defaultdict(list)
+        for step, features in enumerate(batches.features):
+            # Critics: regression on the bootstrapped targets. Each network has its own loss.
+            target, clipped = self._targets(batches, step)
+            value = self.critics(features, batches.action[step])
+            squared_error = (value - target.unsqueeze(1)).square()
+            networks.gradient_step("critics", squared_error.mean(dim=-1).sum())
+            metrics["critic_loss"].append(squared_error.detach().mean())
+            metrics["target_clipped"].append(clipped.float().mean())
 
-    def _update(self, steps: Steps, step: int, *, moves_actor: bool) -> dict[str, torch.Tensor]:
-        target, clipped = self._targets(steps, step)
-        features = steps.features[step]
-        value = self.critics(features, steps.action[step])
-        squared = (value - target.unsqueeze(1)).square()
-        # Each network has a loss of its own.
-        self._descend("critics", squared.mean(dim=-1).sum())
-        report = {
-            "critic_loss": squared.detach().mean(),
-            "target_clipped": clipped.float().mean(),
-        }
-        if moves_actor:
-            report["q"] = self._update_actor(features)
-        self._updates += 1
-        if (average := self.config.ddpg.policy_average) is not None:
-            # At first the plain mean, so that nothing of the initial weights stays in it.
-            share = self._updates.float().reciprocal().clamp(min=average)
-            self._flat["mean_actor"].follow(self._flat["actor"], share)
-        if self.config.ddpg.target_update == "update":
-            self.update_targets()
-        return report
+            # Actor: ascent on the critics' mean, with a penalty on large actions.
+            if (phase + step) % config.actor_period == 0:
+                action = self.policy.action(features)
+                q = self.critics(features, action).mean(dim=1).sum(dim=0).mean()
+                networks.gradient_step("actor", -q + config.action_l2 * action.square().mean())
+                metrics["q"].append(q.detach())
 
-    def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
-        action = self.policy.action(features)
-        value: torch.Tensor = self.critics(features, action).mean(dim=1).sum(dim=0).mean()
-        loss = -value + self.config.ddpg.action_l2 * action.square().mean()
-        self._descend("actor", loss)
-        return value.detach()
+            # Running mean of the actor's weights: at first the plain mean, which forgets the
+            # initial weights.
+            self._updates += 1
+            if config.policy_average is not None:
+                share = self._updates.float().reciprocal().clamp(min=config.policy_average)
+                networks.update_mean_actor(share)
 
-    def _descend(self, name: str, loss: torch.Tensor) -> None:
-        self._flat[name].clear_gradients()
-        self._flat[name].add_gradients(loss)
-        self._flat[name].average_gradients(self._peers)
-        self._optimizers[name].step()
+            # Target networks.
+            if config.target_update == "update":
+                self.update_targets()
+        return {name: torch.stack(values) for name, values in metrics.items()}
+
+    @torch.no_grad()
+    def _targets(self, batches: Minibatches, step: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Clipped targets, and whether each was clipped. ``(components, batch)`` each"""
+        # Episodes end by time, never by success, so that every transition bootstraps.
+        features = batches.next_features[step]
+        action = self.policy.action(features, self._networks.target_actor)
+        subset = None if batches.target_subsets is None else batches.target_subsets[step]
+        value = self._networks.target_critics(features, action, subset).amin(dim=1)
+        unclipped = batches.reward[step] + self.config.ddpg.gamma * value
+        target = unclipped.clamp(self._low, self._high)
+        return target, target != unclipped
+
+    @torch.no_grad()
+    def _minibatches(self, block: Transitions, count: int) -> Minibatches:
+        # For all steps at once: only the networks change from one step to the next.
+        def per_step(rows: torch.Tensor) -> torch.Tensor:
+            steps: torch.Tensor = rows.unflatten(0, (count, -1))
+            return steps
+
+        features = self.policy.features
+        reward = torch.stack([block.extrinsic, block.intrinsic])
+        if not self.config.ddpg.component_critics:
+            reward = reward.sum(dim=0, keepdim=True)
+        return Minibatches(
+            features=per_step(features(block.observation, block.goal, block.source)),
+            action=per_step(block.action),
+            next_features=per_step(features(block.next_observation, block.goal, block.source)),
+            reward=reward.unflatten(1, (count, -1)).transpose(0, 1),
+            target_subsets=self._draw_target_subsets(count),
+        )
+
+    def _draw_target_subsets(self, count: int) -> list[list[int]] | None:
+        critics, size = self.config.ddpg.critics, self.config.ddpg.target_subset
+        if size == critics:
+            return None
+        orders = (torch.randperm(critics, generator=self._generator) for _ in range(count))
+        return [order[:size].tolist() for order in orders]
 
     def end_cycle(self) -> None:
-        """Move the targets, where they are moved once a cycle."""
+        """Update the target networks, if they are updated once a cycle."""
         if self.config.ddpg.target_update == "cycle":
             self.update_targets()
 
     def update_targets(self) -> None:
         """Move the target networks towards the online ones by ``tau``."""
-        for name in ("actor", "critics"):
-            self._flat[f"target_{name}"].follow(self._flat[name], self.config.ddpg.tau)
+        self._networks.update_targets()
 
     def acting_snapshot(self) -> dict[str, Any]:
         """Copy of the policy that acts: the actor, or the running mean of its weights."""
         if self.config.ddpg.policy_average is None:
             return self.policy.snapshot()
-        weights = {name: t.clone() for name, t in self._mean_actor.state_dict().items()}
-        return self.policy.snapshot() | {"actor": weights}
-
-    def _modules(self) -> dict[str, nn.Module]:
-        return {
-            "actor": self.policy.actor,
-            "critics": self.critics,
-            "target_actor": self._target_actor,
-            "target_critics": self._target_critics,
-            "mean_actor": self._mean_actor,
-        }
+        mean = self._networks.mean_actor.state_dict()
+        return self.policy.snapshot() | {"actor": {name: t.clone() for name, t in mean.items()}}
 
     def state_dict(self) -> dict[str, Any]:
         """Copy of networks and optimisers, without the policy, which is saved as a snapshot."""
-        state: dict[str, Any] = {
-            name: module.state_dict() for name, module in self._modules().items() if name != "actor"
+        return self._networks.state_dict() | {
+            "updates": int(self._updates),
+            "generator": self._generator.get_state(),
         }
-        state["updates"] = int(self._updates)
-        state["generator"] = self._generator.get_state()
-        state["optimizers"] = {name: each.state_dict() for name, each in self._optimizers.items()}
-        return copy.deepcopy(state)
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
-        for name, module in self._modules().items():
-            if name != "actor":
-                module.load_state_dict(state[name])
+        self._networks.load_state_dict(state)
         self._updates.fill_(state["updates"])
         self._phase = state["updates"] % self.config.ddpg.actor_period
         self._generator.set_state(state["generator"].cpu())
-        # Optimisers keep the tensors that they load and then write to them.
-        for name, optimizer in self._optimizers.items():
-            optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
-            for group in optimizer.param_groups:  # the state may come from another device
-                group["capturable"] = self._captured is not None
-        if self._captured is not None:
-            self._captured.forget()
+        if self._graphs is not None:
+            self._graphs.clear()

@@ -1,4 +1,4 @@
-"""Numbers that show whether imagination can be trusted, from episodes never learned from."""
+"""Accuracy of models and imagination, measured on held-out episodes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from iher_robot.learning.episode import Episode
+from iher_robot.learning.episode import Episode, FloatArray
 from iher_robot.learning.goal_model import IMAGINED, GoalModel
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.rollout import imagine
 from iher_robot.learning.learner import Learner
 
 HORIZONS = (1, 10, 50)
+"""Ticks over which the models' errors are measured."""
 CONTACT_M = 0.002
-"""Motion of the achieved goal in a tick, m, from which something pushes it."""
+"""Motion of the achieved goal in one tick, m, that indicates contact."""
 
 
 def _no_spread(predictions: torch.Tensor) -> torch.Tensor:
@@ -32,44 +33,30 @@ def open_loop_error(
     generator: torch.Generator,
     least_motion: float = 0.0,
 ) -> tuple[float, float]:
-    """Distance of the predicted from the real achieved goal after some ticks of known actions.
+    """Distance of the predicted from the real achieved goal after ``horizon`` ticks.
 
-    Every window of ``horizon`` ticks of every episode counts once; the model sees the window's
-    first observation and its actions, nothing else.
+    Every window of ``horizon`` ticks of every episode counts once; the models see its first
+    observation and its actions only.
 
     Args:
-        ensemble: The models; a member is drawn at each step, as when imagining.
+        ensemble: The models; a member is drawn at each step, as in imagination.
         goal_model: Achieved goals.
-        episodes: Real episodes, best ones that the models were not trained on.
+        episodes: Real episodes, preferably held out from training.
         horizon: Ticks to predict.
         state_margin: As in ``imagine``.
         generator: Draws the members.
-        least_motion: Only windows count in which the achieved goal ends this far from where it
-            began, in the goal's unit.
+        least_motion: Windows count only if the achieved goal ends at least this far from its start,
+            in the goal's unit.
 
     Returns:
         Mean distance of the model's prediction, and of predicting no change, in the goal's
         unit. The first is nan where a prediction is not finite, both where no window counts.
     """
-    device = ensemble.obs_low.device
-    windows = [
-        (
-            segment.observations[t],
-            segment.actions[t : t + horizon],
-            segment.observations[t + horizon],
-        )
-        for episode in episodes
-        for segment in episode.segments()
-        for t in range(len(segment) - horizon + 1)
-    ]
-    if not windows:
+    windows = _windows(episodes, horizon, ensemble.obs_low.device)
+    if windows is None:
         return float("nan"), float("nan")
-
-    def stack(column: int) -> torch.Tensor:
-        array = np.stack([window[column] for window in windows])
-        return torch.as_tensor(array, dtype=torch.float32, device=device)
-
-    start, actions, real = stack(0), stack(1), goal_model.achieved_goal(stack(2))
+    start, actions, end = windows
+    real = goal_model.achieved_goal(end)
     motion = torch.linalg.vector_norm(goal_model.achieved_goal(start) - real, dim=-1)
     counts = motion >= least_motion
     if not counts.any():
@@ -92,13 +79,40 @@ def open_loop_error(
     return float("nan") if rollouts.dropped else float(model), float(motion.mean())
 
 
+def _windows(
+    episodes: Sequence[Episode], horizon: int, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
+    """First observation, actions and last observation of every window of valid ticks."""
+    windows = [
+        (
+            segment.observations[t],
+            segment.actions[t : t + horizon],
+            segment.observations[t + horizon],
+        )
+        for episode in episodes
+        for segment in episode.segments()
+        for t in range(len(segment) - horizon + 1)
+    ]
+    if not windows:
+        return None
+
+    def stack(column: int) -> torch.Tensor:
+        return _tensor([window[column] for window in windows], device)
+
+    return stack(0), stack(1), stack(2)
+
+
+def _tensor(arrays: Sequence[FloatArray], device: torch.device) -> torch.Tensor:
+    return torch.as_tensor(np.stack(arrays), dtype=torch.float32, device=device)
+
+
 def imagined_success(
     learner: Learner, episodes: Sequence[Episode], *, generator: torch.Generator
 ) -> float:
     """Success rate in imagination from the starts and goals of real evaluation episodes.
 
     Args:
-        learner: Its models and the policy that acts, without noise, told that it imagines.
+        learner: Its models and its acting policy, without noise and with the imagined source.
         episodes: Real episodes.
         generator: Draws the members.
 
@@ -106,12 +120,8 @@ def imagined_success(
         Share of rollouts whose last observation meets the goal.
     """
     device = learner.device
-    starts = torch.as_tensor(
-        np.stack([e.observations[0] for e in episodes]), dtype=torch.float32, device=device
-    )
-    goals = torch.as_tensor(
-        np.stack([e.desired_goal for e in episodes]), dtype=torch.float32, device=device
-    )
+    starts = _tensor([e.observations[0] for e in episodes], device)
+    goals = _tensor([e.desired_goal for e in episodes], device)
     source = torch.full((len(starts),), IMAGINED, device=device)
     policy = learner.acting_policy(device)
     rollouts = imagine(
@@ -134,12 +144,12 @@ def diagnose(learner: Learner, episodes: Sequence[Episode]) -> dict[str, float]:
     """Model errors and imagined success on the episodes of an evaluation.
 
     Args:
-        learner: After ``learn``; its own random stream is left alone.
-        episodes: Evaluation episodes, which nothing was trained on.
+        learner: After ``learn``; nothing is drawn from its generator.
+        episodes: Evaluation episodes, held out from training.
 
     Returns:
-        ``model_error_H`` and ``still_error_H`` for each horizon H, and with ``contact`` for H in
-        the ticks in which the achieved goal moves; and ``imagined_success``. Nothing where
+        ``model_error_H`` and ``still_error_H`` for each horizon H, and for H = ``contact``, the
+        single ticks in which the achieved goal moves; and ``imagined_success``. Empty if
         imagination is off.
     """
     if not learner.config.imagination.enabled or not episodes:

@@ -1,4 +1,4 @@
-"""One episode of interaction, as the learner stores it."""
+"""A real episode, as the learner receives it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Episode:
     Attributes:
         observations: Observations, the last one after the last action. ``(length + 1, obs_dim)``
         actions: Actions as the robot applied them, in [-1, 1]. ``(length, action_dim)``
-        requested_actions: Actions as the policy asked for them. ``(length, action_dim)``
-        valid: Whether the tick may be learned from; a held, dropped or late tick is
-            charged to the budget and may not. ``(length,)``
+        requested_actions: Actions as the policy requested them. ``(length, action_dim)``
+        valid: Whether the tick may be learned from; a held, dropped or late tick may not, though
+            it is charged to the budget. ``(length,)``
         desired_goal: The goal. ``(goal_dim,)``
     """
 

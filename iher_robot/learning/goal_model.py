@@ -1,4 +1,4 @@
-"""What the learner must know of a task, and nothing else."""
+"""Interface between task and learner: goals, rewards, array shapes and sources."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from iher_robot.learning.config import MOVED_M
+from iher_robot.learning.episode import Episode
 
 Array = NDArray[np.floating]
 
@@ -25,28 +28,35 @@ class GoalModel(Protocol):
         """Sparse reward: 0 where the goal is met, else -1. ``(..., goal_dim) -> (...,)``"""
 
     def tightened(self, share: float, /) -> GoalModel:
-        """The same goals, met only within that share of the tolerance."""
+        """The same goals, met only within this share of the tolerance."""
 
     def complete(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Observation with its derived entries recomputed. ``(..., obs_dim)``"""
 
     def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
-        """Goals for episodes that start so. ``(batch, obs_dim) -> (batch, goal_dim)``"""
+        """Goals for episodes with these starts. ``(batch, obs_dim) -> (batch, goal_dim)``"""
+
+
+def moved_goal(model: GoalModel, episode: Episode, threshold_m: float = MOVED_M) -> bool:
+    """Whether the achieved goal was ever farther from where it began than the threshold."""
+    achieved = model.achieved_goal(torch.as_tensor(episode.observations))
+    displacement = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
+    return bool(displacement > threshold_m)
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Sizes of the arrays that the learner handles, and which entries go together.
+    """Sizes of the learner's arrays, and entries of an observation with a special meaning.
 
     Attributes:
         obs_dim: Length of an observation.
         goal_dim: Length of a goal.
         action_dim: Length of an action.
         episode_ticks: Ticks of an episode.
-        goal_entries: Entries of the observation that a goal is compared with, one for each of
-            the goal's; empty where the achieved goal is not part of the observation.
-        shifted_entries: Entries of the observation that a shift of the whole scene changes;
-            the task declares that nothing depends on where they are together.
+        goal_entries: Entries of the observation that hold the achieved goal, in the goal's order;
+            empty where the achieved goal is not part of the observation.
+        shifted_entries: Entries of the observation that a shift of the whole scene changes; the
+            task declares that dynamics and reward do not depend on such a shift.
     """
 
     obs_dim: int

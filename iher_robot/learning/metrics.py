@@ -1,4 +1,4 @@
-"""Averages of what an epoch's steps report."""
+"""Averages of an epoch's metrics."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Meter:
         self._counts: dict[str, int] = defaultdict(int)
 
     def add(self, values: Mapping[str, torch.Tensor | float]) -> None:
-        """Take in values.
+        """Add values.
 
         Args:
-            values: By name, one value each, or those of several steps. ``(steps,)``
+            values: By name: a scalar, or one value a step. ``(steps,)``
         """
         for name, value in values.items():
             if isinstance(value, torch.Tensor) and value.dim() > 0:

@@ -1,4 +1,4 @@
-"""The policy: everything needed to act, apart from what trains it."""
+"""The policy: actor and input normalisers, without critics and optimisers."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import nn
 
-from iher_robot.learning.config import ExplorationConfig, LearnerConfig
+from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import SOURCES, Shapes, source_features
 from iher_robot.learning.networks.mlp import forward, in_blocks, mlp
 from iher_robot.learning.networks.normalizer import RunningNormalizer
-from iher_robot.learning.networks.precision import products_of
+from iher_robot.learning.networks.precision import pick_matmul_dtype
 
 
 class Policy:
@@ -21,13 +21,13 @@ class Policy:
     Args:
         shapes: Sizes of the arrays.
         hidden: Widths of the actor's hidden layers.
-        source_input: Whether the actor is told its data's source.
+        source_input: Whether the data's source is an input of the actor.
         inputs: ``absolute`` or ``relative``, see ``DDPGConfig``.
         normalizer_clip: See ``ReplayConfig``.
         normalizer_std_floor: See ``ReplayConfig``.
         generator: Draws the initial weights.
         device: Where the policy computes.
-        products: Type of the matrix products between hidden layers.
+        matmul_dtype: Type of the matrix products between hidden layers.
     """
 
     def __init__(
@@ -41,14 +41,14 @@ class Policy:
         normalizer_std_floor: float,
         generator: torch.Generator,
         device: torch.device,
-        products: torch.dtype = torch.float32,
+        matmul_dtype: torch.dtype = torch.float32,
     ) -> None:
         self.shapes = shapes
         self.hidden = tuple(hidden)
         self.source_input = source_input
         self.inputs = inputs
         self.device = device
-        self.products = products
+        self.matmul_dtype = matmul_dtype
 
         def normalizer(dim: int) -> RunningNormalizer:
             return RunningNormalizer(
@@ -59,7 +59,7 @@ class Policy:
         self.goal_normalizer = normalizer(shapes.goal_dim)
         self.gap_normalizer = normalizer(len(shapes.goal_entries))
         self._goal_entries = torch.tensor(shapes.goal_entries, dtype=torch.long, device=device)
-        # 1 for what a shift of the whole scene leaves as it is.
+        # 0 for entries that a shift of the whole scene changes, else 1.
         self._fixed = torch.ones(shapes.obs_dim, device=device)
         self._fixed[list(shapes.shifted_entries)] = 0.0
         self.actor = mlp(self.input_dim, hidden, shapes.action_dim, generator).to(device)
@@ -73,7 +73,7 @@ class Policy:
         generator: torch.Generator,
         device: torch.device,
     ) -> Policy:
-        """Build an untrained policy as the learner's settings say."""
+        """Build an untrained policy from the learner's settings."""
         return cls(
             shapes,
             hidden=config.ddpg.hidden,
@@ -83,7 +83,7 @@ class Policy:
             normalizer_std_floor=config.replay.normalizer_std_floor,
             generator=generator,
             device=device,
-            products=products_of(config.matmul_precision, device),
+            matmul_dtype=pick_matmul_dtype(config.matmul_precision, device),
         )
 
     @property
@@ -94,7 +94,7 @@ class Policy:
         return self.shapes.obs_dim + self.shapes.goal_dim + gap + sources
 
     def update_normalizers(self, observation: torch.Tensor, goal: torch.Tensor) -> None:
-        """Take in observations and goals. ``(batch, obs_dim)``, ``(batch, goal_dim)``"""
+        """Add observations and goals. ``(batch, obs_dim)``, ``(batch, goal_dim)``"""
         self.obs_normalizer.update(observation)
         self.goal_normalizer.update(goal)
         if self.shapes.goal_entries:
@@ -130,12 +130,12 @@ class Policy:
 
         Args:
             features: ``(batch, input_dim)``
-            actor: An actor of the same kind, such as a target; None for the policy's own.
+            actor: Another actor of the same shape, such as a target; None for the policy's.
 
         Returns:
             ``(batch, action_dim)``
         """
-        return torch.tanh(forward(actor or self.actor, features, self.products))
+        return torch.tanh(forward(actor or self.actor, features, self.matmul_dtype))
 
     @torch.no_grad()
     def act(
@@ -146,7 +146,7 @@ class Policy:
         return in_blocks(self.action, features)
 
     def snapshot(self) -> dict[str, Any]:
-        """Copy of all that acting needs: tensors and plain values only."""
+        """Copy of everything that acting needs: tensors and plain values only."""
         return {
             "shapes": {name: getattr(self.shapes, name) for name in Shapes.__dataclass_fields__},
             "hidden": list(self.hidden),
@@ -161,7 +161,7 @@ class Policy:
         }
 
     def load_snapshot(self, snapshot: dict[str, Any]) -> None:
-        """Take over the weights and statistics of a snapshot of the same shapes."""
+        """Load the weights and statistics of a snapshot of the same shapes."""
         self.actor.load_state_dict(snapshot["actor"])
         self.obs_normalizer.load_state_dict(snapshot["obs_normalizer"])
         self.goal_normalizer.load_state_dict(snapshot["goal_normalizer"])
@@ -174,17 +174,17 @@ class Policy:
         snapshot: dict[str, Any],
         *,
         device: torch.device,
-        products: torch.dtype = torch.float32,
+        matmul_dtype: torch.dtype = torch.float32,
     ) -> Policy:
-        """Build the policy that a snapshot holds.
+        """Build the policy of a snapshot.
 
         Args:
             snapshot: From ``snapshot``.
             device: Where the policy computes.
-            products: Type of the matrix products between hidden layers.
+            matmul_dtype: Type of the matrix products between hidden layers.
 
         Raises:
-            AttributeError, KeyError, RuntimeError, TypeError, ValueError: It holds something else.
+            AttributeError, KeyError, RuntimeError, TypeError, ValueError: It is no such snapshot.
         """
         policy = cls(
             Shapes(**snapshot["shapes"]),
@@ -195,14 +195,14 @@ class Policy:
             normalizer_std_floor=snapshot["normalizer_std_floor"],
             generator=torch.Generator(),
             device=device,
-            products=products,
+            matmul_dtype=matmul_dtype,
         )
         policy.load_snapshot(snapshot)
         shapes = policy.shapes
         sizes = {"obs": shapes.obs_dim, "goal": shapes.goal_dim, "gap": len(shapes.goal_entries)}
-        for of, dim in sizes.items():
-            # Unlike a module, a normaliser takes over any shape; a wrong one might broadcast.
-            name = f"{of}_normalizer"
+        for part, dim in sizes.items():
+            # Unlike a module, a normaliser loads any shape; a wrong one might broadcast.
+            name = f"{part}_normalizer"
             if name not in snapshot and dim == 0:
                 continue
             for key in ("mean", "std"):
@@ -210,26 +210,3 @@ class Policy:
                 if found != (dim,):
                     raise ValueError(f"{name}.{key} has shape {found}, expected {(dim,)}")
         return policy
-
-
-def explore(
-    action: torch.Tensor, config: ExplorationConfig, generator: torch.Generator
-) -> torch.Tensor:
-    """Disturb actions for exploration, in real and imagined rollouts alike.
-
-    Gaussian noise, then a share of actions replaced by uniform ones (Plappert et al. 2018).
-
-    Args:
-        action: The policy's actions. ``(batch, action_dim)``
-        config: How strongly.
-        generator: Source of randomness, on the actions' device.
-
-    Returns:
-        Actions in [-1, 1]. ``(batch, action_dim)``
-    """
-    device = action.device
-    noise = torch.randn(action.shape, generator=generator, device=device)
-    noisy = (action + config.noise_std * noise).clamp(-1.0, 1.0)
-    uniform = 2.0 * torch.rand(action.shape, generator=generator, device=device) - 1.0
-    replace = torch.rand(len(action), 1, generator=generator, device=device)
-    return torch.where(replace < config.random_fraction, uniform, noisy)

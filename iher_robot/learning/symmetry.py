@@ -1,4 +1,4 @@
-"""Symmetries of a task: one real transition stands for all of its images."""
+"""Data augmentation with a task's symmetries."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Protocol
 
 import torch
 
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 
 
 class SymmetryMap(Protocol):
-    """One map a row, which leaves dynamics and reward unchanged."""
+    """A map for each row of a batch, which leaves dynamics and reward unchanged."""
 
     def observation(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Images of observations. ``(batch, obs_dim)``"""
@@ -24,16 +24,16 @@ class SymmetryMap(Protocol):
 
 
 class Symmetry(Protocol):
-    """What a task declares: maps, and where they hold."""
+    """The maps of a task, and where they hold."""
 
     @property
     def draws(self) -> int:
-        """Numbers in [0, 1) that decide a row's map."""
+        """Random numbers that choose a row's map."""
 
     def choose(
         self, uniform: torch.Tensor, start: torch.Tensor, end: torch.Tensor, /
     ) -> SymmetryMap:
-        """Choose a map for each step; the identity where none holds.
+        """Map for each step; the identity where none holds.
 
         Args:
             uniform: Numbers in [0, 1). ``(batch, draws)``

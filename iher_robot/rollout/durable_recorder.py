@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
@@ -15,6 +14,7 @@ from iher_robot.rollout.timing import TickJitter
 from iher_robot.storage.episode import DONE, EpisodeHeader, RecordedTick
 from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.ledger import Entry, Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 RESET_AHEAD_S = 120.0
 """Robot time that is reserved before a reset, whose duration is not known ahead."""
@@ -45,7 +45,7 @@ class DurableRecorder(Recorder):
     ) -> None:
         super().__init__()
         self._driver = env.driver
-        self._period_ns = env.robot_spec.control_period_ns
+        self._period_s = env.robot_spec.control_period_s
         self._store = store
         self._reserve = reserve
         self._ledger = ledger
@@ -55,7 +55,7 @@ class DurableRecorder(Recorder):
 
     def __enter__(self) -> DurableRecorder:
         self._entry = self._stack.enter_context(self._reserve())
-        ahead = math.ceil(RESET_AHEAD_S * 1e9 / self._period_ns)
+        ahead = RobotTime.from_seconds(RESET_AHEAD_S, self._period_s).ticks
         self._reset: Entry | None = self._stack.enter_context(self._ledger.reserve("reset", ahead))
         self._reset_begun_ns = self._driver.now_ns
         return self
@@ -95,4 +95,4 @@ class DurableRecorder(Recorder):
         entry, self._reset = self._reset, None  # not a second time, if the first is interrupted
         if entry is not None:
             elapsed_ns = self._driver.now_ns - self._reset_begun_ns
-            entry.settle(-(-elapsed_ns // self._period_ns))
+            entry.settle(RobotTime.from_ns(elapsed_ns, self._period_s).ticks)

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import RobotDriver
 from iher_robot.storage.ledger import Entry, Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 
 class TickJitter:
@@ -94,7 +95,7 @@ class IdleMeter:
     def __init__(self, driver: RobotDriver, ledger: Ledger) -> None:
         self._driver = driver
         self._ledger = ledger
-        self._period_ns = driver.spec.control_period_ns
+        self._period_s = driver.spec.control_period_s
         self._stack = ExitStack()
         self._entry: Entry | None = None
         self._since_ns = 0
@@ -103,7 +104,7 @@ class IdleMeter:
         """Start idling."""
         if self._driver.paces_itself and self._entry is None:
             self._since_ns = self._driver.now_ns
-            reserved = max(1, round(_RESERVED_S * 1e9 / self._period_ns))
+            reserved = RobotTime.from_seconds(_RESERVED_S, self._period_s).ticks
             self._entry = self._stack.enter_context(
                 self._ledger.reserve("idle", reserved, counted=True)
             )
@@ -113,7 +114,7 @@ class IdleMeter:
         """Charge the idle time so far, and some ahead, so that a crash leaves it counted."""
         if self._entry is None:
             return
-        noted = self._ticks() + round(_AHEAD_S * 1e9 / self._period_ns)
+        noted = self._ticks() + RobotTime.from_seconds(_AHEAD_S, self._period_s).ticks
         if noted > self._entry.reserved_ticks:
             self.end()
             self.begin()
@@ -128,4 +129,4 @@ class IdleMeter:
             self._stack.close()
 
     def _ticks(self) -> int:
-        return -(-(self._driver.now_ns - self._since_ns) // self._period_ns)
+        return RobotTime.from_ns(self._driver.now_ns - self._since_ns, self._period_s).ticks

@@ -1,4 +1,4 @@
-"""The entries of a ledger and what they add up to."""
+"""Format of a ledger and its totals by account."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.lock import read_note
-from iher_robot.storage.files.sqlite import Database, Format, row_seal
+from iher_robot.storage.files.sqlite import Database, Format, row_checksum
 
 Account = Literal["motion", "reset", "idle", "evaluation", "deployment"]
 ACCOUNTS: tuple[Account, ...] = get_args(Account)
@@ -38,51 +38,51 @@ LEDGER = Format(
 
 
 def lock_path(ledger: Path) -> Path:
-    """The file that the holder of a ledger holds."""
+    """Lock file of a ledger."""
     return ledger.with_suffix(".lock")
 
 
 @dataclass
 class Accounts:
-    """What the entries of a ledger add up to.
+    """Totals of a ledger.
 
-    Every entry is sealed over itself and the seal before it, so that none can be changed, left out
-    or moved unnoticed.
+    The checksum of an entry covers the checksum before it, so that no entry can be changed, left
+    out or moved unnoticed.
 
     Attributes:
-        spent: Ticks by account: those settled, and those reserved and not yet settled.
-        open: Account and ticks of the reservations that are not settled, by number.
+        spent: Ticks by account, settled or reserved.
+        open: Account and ticks of open reservations, by number.
         granted_ticks: Ticks of motion granted beyond the run's own budget.
         last: Number of the newest entry.
-        seal: That entry's seal.
+        checksum: Checksum of that entry.
     """
 
     spent: dict[Account, int] = field(default_factory=lambda: dict.fromkeys(ACCOUNTS, 0))
     open: dict[int, tuple[Account, int]] = field(default_factory=dict)
     granted_ticks: int = 0
     last: int = 0
-    seal: bytes = b""
+    checksum: bytes = b""
 
     def copy(self) -> Accounts:
-        """The same, to be changed without changing this one."""
+        """An independent copy."""
         return replace(self, spent=dict(self.spent), open=dict(self.open))
 
     def next_row(
         self, kind: Kind, account: Account, reservation: int | None, ticks: int
     ) -> tuple[Any, ...]:
-        """The row that an entry would have."""
+        """Row of the next entry."""
         content = (self.last + 1, kind, account, reservation, ticks)
-        return (*content, row_seal(self.seal, *content))
+        return (*content, row_checksum(self.checksum, *content))
 
-    def take(self, row: tuple[Any, ...]) -> None:
-        """Add an entry.
+    def apply(self, row: tuple[Any, ...]) -> None:
+        """Add an entry to the totals.
 
         Raises:
-            ValueError: It is not the next one, or not as it was written.
+            ValueError: It is not the next entry, or has changed since it was written.
         """
-        number, kind, account, reservation, ticks, seal = row
-        if number != self.last + 1 or seal != row_seal(self.seal, *row[:-1]):
-            raise ValueError(f"entry {number} is not as it was written")
+        number, kind, account, reservation, ticks, checksum = row
+        if number != self.last + 1 or checksum != row_checksum(self.checksum, *row[:-1]):
+            raise ValueError(f"entry {number} has changed since it was written")
         if kind == "reserve":
             self.spent[account] += ticks
             self.open[number] = (account, ticks)
@@ -90,15 +90,15 @@ class Accounts:
             self.spent[account] += ticks - self.open.pop(reservation)[1]
         else:
             self.granted_ticks += ticks
-        self.last, self.seal = number, seal
+        self.last, self.checksum = number, checksum
 
 
-def add_up(database: Database, newest: int = 0) -> Accounts:
+def total_entries(database: Database, newest: int = 0) -> Accounts:
     """Read and check every entry of a ledger.
 
     Args:
         database: The ledger.
-        newest: Number of an entry that is known to have been written.
+        newest: Number of an entry that was certainly written.
 
     Raises:
         UserError: An entry is damaged or missing.
@@ -106,7 +106,7 @@ def add_up(database: Database, newest: int = 0) -> Accounts:
     accounts = Accounts()
     try:
         for row in database.each_row("SELECT * FROM entry ORDER BY id"):
-            accounts.take(row)
+            accounts.apply(row)
     except (ValueError, LookupError, TypeError) as error:
         raise UserError(f"{database.path} is damaged: {error}") from error
     for (written,) in database.rows("SELECT seq FROM sqlite_sequence"):
@@ -114,22 +114,22 @@ def add_up(database: Database, newest: int = 0) -> Accounts:
     if accounts.last < newest:
         raise UserError(
             f"{database.path} lost its entries from {accounts.last + 1} to {newest}: it or its "
-            "-wal file is damaged or too old; put the newest ones back"
+            "-wal file is damaged or too old; restore the newest ones"
         )
     return accounts
 
 
 def read_accounts(path: Path) -> Accounts:
-    """Add up a ledger, even while a run writes it.
+    """Read the totals of a ledger, even while a run writes it.
 
-    Reservations of which the holder noted how much has begun count as that.
+    An open reservation counts as far as the run has noted that its ticks have begun, else in full.
 
     Raises:
-        UserError: There is none, or it is damaged.
+        UserError: There is no ledger, or it is damaged.
     """
-    note = read_note(lock_path(path))  # first: the ledger may go on meanwhile
+    note = read_note(lock_path(path))  # first: the ledger may grow meanwhile
     with Database(path, LEDGER, read_only=True) as database, database.snapshot():
-        accounts = add_up(database, note.get("last", 0))
+        accounts = total_entries(database, note.get("last", 0))
     for number, (account, ticks) in accounts.open.items():
         begun = begun_ticks(read_note(lock_path(path)), number)
         if begun is not None:
@@ -138,6 +138,6 @@ def read_accounts(path: Path) -> Accounts:
 
 
 def begun_ticks(note: Any, reservation: int) -> int | None:
-    """How much of a reservation has begun, as the holder of its ledger noted; None if unknown."""
+    """Ticks of a reservation that have begun, from the note in the lock file; None if unknown."""
     begun = note.get("begun", {}).get(str(reservation))
     return None if begun is None else int(begun)

@@ -1,4 +1,4 @@
-"""Checkpoints at epoch boundaries."""
+"""Checkpoint of a run, written at the end of an epoch."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ VERSION = 4
 
 
 def save_checkpoint(path: Path, *, learner: dict[str, Any], run: dict[str, Any]) -> None:
-    """Replace the checkpoint; a crash leaves the old one or the new one.
+    """Replace the checkpoint atomically.
 
     Args:
         path: The file.
-        learner: What ``Learner.state_dict`` returned.
+        learner: State from ``Learner.state_dict``.
         run: Settings, counters and metrics of the run.
 
     Raises:
@@ -32,10 +32,10 @@ def load_checkpoint(path: Path) -> dict[str, Any] | None:
         path: The file.
 
     Returns:
-        Its ``learner`` and ``run``, or None if no epoch was finished.
+        ``learner`` and ``run``, or None before the first epoch has ended.
 
     Raises:
-        UserError: It is damaged, or of another version.
+        UserError: The file is damaged, or of another version.
     """
     if not path.exists():
         return None

@@ -1,4 +1,4 @@
-"""A real episode as it is kept: its ticks, how it came about, and its file."""
+"""Real episode in storage: header, ticks, and file format."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.accounts import ACCOUNTS, Account
-from iher_robot.storage.files.atomic import check_seal, seal_zip
+from iher_robot.storage.files.checksum import add_zip_checksum, check_zip
 
 DONE = "done"
-"""How an episode ended that nothing cut short."""
+"""Ending of an episode that ran to its last tick."""
 
 _FILE_NAMES = {"policy_source": "told_source"}
-"""Names in files, where they differ from the attributes."""
+"""Names in files that differ from the attributes."""
 
-# What numpy and zipfile raise on a foreign archive.
+# Errors of numpy and zipfile for a foreign archive.
 UNREADABLE = (
     AttributeError,
     EOFError,
@@ -43,13 +43,13 @@ _ARRAYS = ("observations", "actions", "requested_actions", "valid", "desired_goa
 
 @dataclass(frozen=True)
 class EpisodeHeader:
-    """What is known of an episode before its first tick.
+    """Description of an episode that is known before its first tick.
 
     Attributes:
-        epoch: Epoch that it belongs to.
-        policy_source: Source that the policy was told.
-        account: Account that its ticks are charged to.
-        seed: Decided its start, its goal and the noise.
+        epoch: Epoch of the episode.
+        policy_source: Source index that the policy received as input.
+        account: Account that the ticks are charged to.
+        seed: Seed of start, goal and noise.
         entry: Number of the reservation in the run's ledger.
     """
 
@@ -60,16 +60,16 @@ class EpisodeHeader:
     entry: int
 
     def to_json(self) -> str:
-        """Text for ``from_json``."""
+        """Encode the header for ``from_json``."""
         names = [field.name for field in dataclasses.fields(EpisodeHeader)]
         return json.dumps({_FILE_NAMES.get(name, name): getattr(self, name) for name in names})
 
     @staticmethod
     def from_json(text: str) -> EpisodeHeader:
-        """Read what ``to_json`` wrote.
+        """Decode a header from ``to_json``.
 
         Raises:
-            ValueError: It is something else.
+            ValueError: The text is no header.
         """
         try:
             values = json.loads(text)
@@ -88,12 +88,12 @@ class RecordedTick:
     """One control tick.
 
     Attributes:
-        observation: What it ended with. ``(obs_dim,)``
-        action: The action as it was applied, in [-1, 1]. ``(action_dim,)``
-        requested_action: The action as it was asked for. ``(action_dim,)``
+        observation: Observation at the end of the tick. ``(obs_dim,)``
+        action: Applied action, in [-1, 1]. ``(action_dim,)``
+        requested_action: Requested action. ``(action_dim,)``
         valid: Whether it may be learned from.
-        seq: The robot's own tick counter at its end.
-        elapsed: Ticks that are charged for it: those that passed unseen before it included.
+        seq: The robot's tick counter at the end of the tick.
+        elapsed: Ticks charged, including missed ticks before it.
     """
 
     observation: NDArray[np.floating]
@@ -104,10 +104,10 @@ class RecordedTick:
     elapsed: int
 
     def as_record(self, kind: np.dtype[np.void] | None = None) -> NDArray[np.void]:
-        """One record, for ``from_record``.
+        """Encode the tick as one record, for ``from_record``.
 
         Args:
-            kind: That of an earlier tick of the episode, which saves time.
+            kind: Type of an earlier record of the episode, which saves time.
         """
         values = tuple(np.asarray(getattr(self, name)) for name in _FIELDS)
         if kind is None:
@@ -117,10 +117,10 @@ class RecordedTick:
 
     @staticmethod
     def from_record(record: NDArray[np.void]) -> RecordedTick:
-        """Read what ``as_record`` returned.
+        """Decode a record from ``as_record``.
 
         Raises:
-            ValueError: It is something else.
+            ValueError: The record has other fields.
         """
         return RecordedTick(
             observation=record["observation"],
@@ -140,11 +140,11 @@ class StoredEpisode(EpisodeHeader):
     """A real episode.
 
     Attributes:
-        index: Place in the store, from 0.
-        ended: ``"done"``, or what cut it short.
-        seqs: The robot's own tick counter at the end of each tick. ``(length,)``
-        elapsed: Ticks charged for each, usually 1. ``(length,)``
-        episode: The data, in the precision in which they were given.
+        index: Index in the store, from 0.
+        ended: ``"done"``, or why it ended early.
+        seqs: The robot's tick counter at the end of each tick. ``(length,)``
+        elapsed: Ticks charged for each tick, usually 1. ``(length,)``
+        episode: The data, in their original precision.
     """
 
     index: int
@@ -155,11 +155,11 @@ class StoredEpisode(EpisodeHeader):
 
     @property
     def header(self) -> EpisodeHeader:
-        """What was known before its first tick."""
+        """The header alone."""
         return EpisodeHeader(self.epoch, self.policy_source, self.account, self.seed, self.entry)
 
     def ticks(self) -> list[RecordedTick]:
-        """Its ticks, as they were recorded."""
+        """The ticks, as they were recorded."""
         episode = self.episode
         return [
             RecordedTick(
@@ -174,7 +174,7 @@ class StoredEpisode(EpisodeHeader):
         ]
 
     def pack(self) -> bytes:
-        """A sealed archive in NumPy's format, for ``read_episode``."""
+        """Encode the episode for ``read_episode``: a NumPy archive with a checksum."""
         buffer = io.BytesIO()
         np.savez(
             buffer,
@@ -186,17 +186,17 @@ class StoredEpisode(EpisodeHeader):
             elapsed=self.elapsed,
             **{name: getattr(self.episode, name) for name in _ARRAYS},
         )
-        return seal_zip(buffer.getvalue())
+        return add_zip_checksum(buffer.getvalue())
 
 
 def make_episode(
     start: NDArray[np.floating], desired_goal: NDArray[np.floating], ticks: Sequence[RecordedTick]
 ) -> Episode:
-    """Put recorded ticks together.
+    """Assemble an episode from recorded ticks.
 
     Args:
         start: Observation before the first tick. ``(obs_dim,)``
-        desired_goal: ``(goal_dim,)``
+        desired_goal: The goal. ``(goal_dim,)``
         ticks: At least one.
     """
     return Episode(
@@ -208,20 +208,20 @@ def make_episode(
     )
 
 
-def read_episode(path: Path, sealed: bytes, index: int) -> StoredEpisode:
-    """Read an episode and check that every byte is as it was written.
+def read_episode(path: Path, archive: bytes, index: int) -> StoredEpisode:
+    """Decode an episode and check its checksum.
 
     Args:
-        path: Its file.
-        sealed: What is in it.
-        index: Place in the store that it should be of.
+        path: The file, for messages.
+        archive: Content of the file.
+        index: Expected index in the store.
 
     Raises:
-        UserError: It is truncated, damaged, or another episode's.
+        UserError: The file is damaged, or holds another episode.
     """
-    check_seal(sealed, path, "episode file")
+    check_zip(archive, path, "episode file")
     try:
-        with np.load(io.BytesIO(sealed), allow_pickle=False) as file:
+        with np.load(io.BytesIO(archive), allow_pickle=False) as file:
             stored = StoredEpisode(
                 **dataclasses.asdict(EpisodeHeader.from_json(str(file["header"]))),
                 index=int(file["index"]),
@@ -238,17 +238,17 @@ def read_episode(path: Path, sealed: bytes, index: int) -> StoredEpisode:
 
 
 def pack_array(array: NDArray[Any]) -> bytes:
-    """An array in NumPy's file format."""
+    """Encode an array in NumPy's file format."""
     buffer = io.BytesIO()
     np.save(buffer, array, allow_pickle=False)
     return buffer.getvalue()
 
 
 def unpack_array(content: bytes) -> NDArray[Any]:
-    """Read an array in NumPy's file format.
+    """Decode an array in NumPy's file format.
 
     Raises:
-        ValueError: It is something else, or holds objects.
+        ValueError: It is no such array, or holds Python objects.
     """
     array: NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
     return array

@@ -1,4 +1,4 @@
-"""The index of an episode folder, and the journal of the episode under way, in one SQLite file."""
+"""Index of an episode folder and journal of the running episode, in one SQLite file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from iher_robot.storage.episode import (
     pack_array,
     unpack_array,
 )
-from iher_robot.storage.files.sqlite import Database, Format, row_seal
+from iher_robot.storage.files.sqlite import Database, Format, row_checksum
 
 INDEX = Format(
     kind="episode index",
@@ -49,15 +49,15 @@ INDEX = Format(
 
 
 @dataclass(frozen=True, eq=False)
-class Running:
-    """The episode under way.
+class RunningEpisode:
+    """The episode that is being recorded.
 
     Attributes:
-        index: Place in the store that it will have.
-        header: What was known before its first tick.
-        observation: Before the first tick. ``(obs_dim,)``
-        desired_goal: ``(goal_dim,)``
-        ticks: Those recorded so far.
+        index: Index that it will have in the store.
+        header: Its description.
+        observation: Observation before the first tick. ``(obs_dim,)``
+        desired_goal: The goal. ``(goal_dim,)``
+        ticks: Ticks recorded so far.
     """
 
     index: int
@@ -67,10 +67,10 @@ class Running:
     ticks: list[RecordedTick]
 
     def stored(self, ended: str) -> StoredEpisode:
-        """What will be stored of it.
+        """The episode to be stored.
 
         Args:
-            ended: ``"done"``, or what cut it short.
+            ended: ``"done"``, or why it ended early.
         """
         return StoredEpisode(
             **vars(self.header),
@@ -83,14 +83,14 @@ class Running:
 
 
 class EpisodeIndex(Closing):
-    """Which episodes there are, with the digest of each file; and the ticks of the one under way.
+    """Digests of the stored episodes' files, and the journal of the running episode.
 
     Args:
-        path: The file; created if it does not exist, unless it is only read.
-        read_only: Whether to change nothing; others may be writing meanwhile.
+        path: The file; created if it does not exist, unless ``read_only``.
+        read_only: Change nothing; another process may be writing.
 
     Raises:
-        UserError: It is no index, damaged, or cannot be used.
+        UserError: The file is no index, is damaged, or cannot be used.
     """
 
     def __init__(self, path: Path, *, read_only: bool = False) -> None:
@@ -104,15 +104,15 @@ class EpisodeIndex(Closing):
         except BaseException:
             self.close()
             raise
-        if not read_only:  # written out between episodes: it must not delay a tick
+        if not read_only:  # checkpoints wait until an episode ends: none may delay a tick
             self._database.execute("PRAGMA wal_autocheckpoint = 0")
 
-    def begin(self, running: Running, *, durable: bool) -> None:
-        """Write down that an episode is under way.
+    def begin(self, running: RunningEpisode, *, durable: bool) -> None:
+        """Start the journal of an episode.
 
         Args:
-            running: It, and the ticks that it has already.
-            durable: Whether this and every tick of it waits for the disk.
+            running: The episode, with any ticks that it already has.
+            durable: Whether this and every tick waits for the disk.
 
         Raises:
             UserError: The system refuses.
@@ -123,27 +123,28 @@ class EpisodeIndex(Closing):
         with self._database.transaction():
             self._clear()
             self._database.execute(
-                "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_seal(*row))
+                "INSERT INTO running VALUES (?, ?, ?, ?, ?)", (*row, row_checksum(*row))
             )
             for number, tick in enumerate(running.ticks):
                 self._insert(number, tick)
         self.running = running
 
     def record(self, tick: RecordedTick) -> None:
-        """Write down a tick of the episode under way.
+        """Add a tick to the journal.
 
         Raises:
             UserError: The system refuses.
         """
         assert self.running is not None, "begin comes first"
-        self.running.ticks.append(tick)  # first: what cannot be written may still be sealed
+        # First: a tick that cannot be journalled may still be stored.
+        self.running.ticks.append(tick)
         self._insert(len(self.running.ticks) - 1, tick)
 
     def add(self, digest: str) -> None:
-        """Write down the file of the next episode, durably; none is under way then.
+        """Add the next episode to the index, durably, and clear the journal.
 
         Args:
-            digest: SHA-256 of the file, in hexadecimal digits.
+            digest: SHA-256 of the episode's file, hexadecimal.
 
         Raises:
             UserError: The system refuses.
@@ -151,20 +152,22 @@ class EpisodeIndex(Closing):
         row = (len(self.digests), digest)
         self._database.durable(True)
         with self._database.transaction():
-            self._database.execute("INSERT INTO episode VALUES (?, ?, ?)", (*row, row_seal(*row)))
+            self._database.execute(
+                "INSERT INTO episode VALUES (?, ?, ?)", (*row, row_checksum(*row))
+            )
             self._clear()
-        self._take([digest])
+        self._append([digest])
         self._database.rows("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def catch_up(self) -> None:
-        """Take in what is written down, and was not taken since an interrupt came before."""
+        """Read entries of the file that an interrupt kept from this object."""
         query = "SELECT sha256 FROM episode WHERE id >= ? ORDER BY id"
         rows = self._database.rows(query, (len(self.digests),))
         if rows:
-            self._take([digest for (digest,) in rows])
+            self._append([digest for (digest,) in rows])
 
-    def forget_running(self) -> None:
-        """Forget an episode under way of which no tick is recorded."""
+    def discard_running(self) -> None:
+        """Discard the running episode, of which no tick is recorded."""
         assert self.running is None or not self.running.ticks
         with self._database.transaction():
             self._clear()
@@ -174,16 +177,16 @@ class EpisodeIndex(Closing):
         """Release the file; closing twice does nothing."""
         self._database.close()
 
-    def _take(self, digests: list[str]) -> None:
-        self.running = None  # first: an interrupt finds the episodes not taken, and they will be
+    def _append(self, digests: list[str]) -> None:
+        self.running = None  # first: `catch_up` repairs what an interrupt leaves
         self.digests += digests
 
     def _insert(self, number: int, tick: RecordedTick) -> None:
-        # The first record says what all of them are, as a file of NumPy's does.
+        # The first record carries the type of all, as a file of NumPy's does.
         record = tick.as_record(self._kind if number else None)
         self._kind = record.dtype
         row = (number, record.tobytes() if number else pack_array(record))
-        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_seal(*row)))
+        self._database.execute("INSERT INTO tick VALUES (?, ?, ?)", (*row, row_checksum(*row)))
 
     def _clear(self) -> None:
         self._database.execute("DELETE FROM running")
@@ -191,20 +194,20 @@ class EpisodeIndex(Closing):
 
     def _read_digests(self) -> list[str]:
         rows = self._database.rows("SELECT * FROM episode ORDER BY id")
-        self._require_whole(rows)
+        self._check_rows(rows)
         return [digest for _, digest, _ in rows]
 
-    def _read_running(self) -> Running | None:
+    def _read_running(self) -> RunningEpisode | None:
         rows = self._database.rows("SELECT * FROM running ORDER BY id")
         records = self._database.rows("SELECT * FROM tick ORDER BY id")
-        self._require_whole(records)
+        self._check_rows(records)
         if not rows:
             return None
-        index, header, observation, desired_goal, seal = rows[0]
-        if len(rows) > 1 or index != len(self.digests) or seal != row_seal(*rows[0][:-1]):
+        index, header, observation, desired_goal, checksum = rows[0]
+        if len(rows) > 1 or index != len(self.digests) or checksum != row_checksum(*rows[0][:-1]):
             raise self._damaged()
         try:
-            return Running(
+            return RunningEpisode(
                 index=index,
                 header=EpisodeHeader.from_json(header),
                 observation=unpack_array(observation),
@@ -214,13 +217,15 @@ class EpisodeIndex(Closing):
         except UNREADABLE as error:
             raise self._damaged() from error
 
-    def _require_whole(self, rows: Sequence[tuple[object, ...]]) -> None:
+    def _check_rows(self, rows: Sequence[tuple[object, ...]]) -> None:
         for number, row in enumerate(rows):
-            if row[0] != number or row[-1] != row_seal(*row[:-1]):
+            if row[0] != number or row[-1] != row_checksum(*row[:-1]):
                 raise self._damaged()
 
     def _damaged(self) -> UserError:
-        return UserError(f"{self.path} is damaged: put back the index that belongs to the files")
+        return UserError(
+            f"{self.path} is damaged; restore the index that belongs to the episode files"
+        )
 
 
 def _read_ticks(records: Sequence[bytes]) -> list[RecordedTick]:

@@ -1,17 +1,13 @@
-"""Real episodes on disk: each tick in a journal, each episode durable when it ends."""
+"""Append-only store of real episodes: ticks go to a journal, whole episodes to files."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.closing import Closing
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import (
     EpisodeHeader,
@@ -19,115 +15,32 @@ from iher_robot.storage.episode import (
     StoredEpisode,
     read_episode,
 )
-from iher_robot.storage.episode_journal import EpisodeIndex, Running
+from iher_robot.storage.episode_journal import EpisodeIndex, RunningEpisode
+from iher_robot.storage.episode_reader import INDEX_NAME, EpisodeReader, file_digest
 from iher_robot.storage.files.atomic import TEMPORARY_SUFFIX, read_file, write_atomically
 from iher_robot.storage.files.lock import LockFile
 
 CUT_OFF = "cut off: the program ended in it"
 
-_NAME = re.compile(r"episode-(\d{6,})\.npz")
-_INDEX = "index.sqlite"
 _LOCK = "store.lock"
 
 
-class EpisodeReader(Closing):
-    """A folder of ``episode-000000.npz``, ``episode-000001.npz``, and so on, with its index.
-
-    It is read as it was when it was opened, even while a run writes it.
-
-    Args:
-        directory: The folder.
-
-    Raises:
-        UserError: It is none, an episode is missing, or the index is damaged.
-    """
-
-    def __init__(self, directory: Path) -> None:
-        self.directory = directory
-        self._index = self._open_index()
-        try:
-            self._check_names()
-        except BaseException:
-            self.close()
-            raise
-
-    def __len__(self) -> int:
-        """Number of stored episodes."""
-        return len(self._index.digests)
-
-    def __iter__(self) -> Iterator[StoredEpisode]:
-        """Load all episodes, oldest first."""
-        return (self.load(index) for index in range(len(self)))
-
-    @property
-    def running(self) -> Running | None:
-        """The episode under way when the folder was opened, None if there was none."""
-        return self._index.running
-
-    def path(self, index: int) -> Path:
-        """The file of an episode."""
-        return self.directory / f"episode-{index:06d}.npz"
-
-    def load(self, index: int) -> StoredEpisode:
-        """Read an episode and check that every byte is as it was written.
-
-        Args:
-            index: Place in the store.
-
-        Raises:
-            IndexError: There is no such episode.
-            UserError: The file is missing, truncated, damaged, or another episode's.
-        """
-        if not 0 <= index < len(self):
-            raise IndexError(f"episode {index} of {len(self)}")
-        path = self.path(index)
-        sealed = read_file(path, "episode file")
-        stored = read_episode(path, sealed, index)
-        if _digest(sealed) != self._index.digests[index]:
-            raise UserError(f"{path} is not the file that was stored; put that one back")
-        return stored
-
-    def close(self) -> None:
-        """Release the folder; closing twice does nothing."""
-        self._index.close()
-
-    def _open_index(self) -> EpisodeIndex:
-        if not self.directory.is_dir():
-            raise UserError(f"there is no episode folder at {self.directory}")
-        return EpisodeIndex(self.directory / _INDEX, read_only=True)
-
-    def _check_names(self) -> None:
-        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
-        for index in range(len(self)):
-            if self.path(index).name not in names:
-                raise UserError(f"{self.path(index)} is missing; put it back")
-
-    def _check_newer_names(self) -> None:
-        names = {path.name for path in self.directory.iterdir() if _NAME.fullmatch(path.name)}
-        # One more may have been sealed just before a crash.
-        if names - {self.path(index).name for index in range(len(self) + 1)}:
-            raise UserError(
-                f"{self.directory / _INDEX} knows {len(self)} episodes, but there are files of "
-                f"{len(names)}; put the newest index back"
-            )
-
-
 class EpisodeStore(EpisodeReader):
-    """The same folder for its one writer, append-only.
+    """Writer of an episode folder, one process at a time.
 
-    Between ``begin`` and ``seal`` every tick goes into a journal. What a crash leaves there is
+    Ticks between ``begin`` and ``seal`` go to a journal. An episode that a crash left there is
     sealed when the store is opened again.
 
     Args:
         directory: The folder; created if it does not exist.
-        durable_ticks: Whether ``record`` waits for the disk, so that a tick survives a crash of
-            the machine, too; without it only a crash of the program.
+        durable_ticks: Whether ``record`` waits for the disk, so that a tick also survives a crash
+            of the machine, not only of the process.
 
     Attributes:
-        recovered: Place of the episode that a crash had cut off, None if there was none.
+        recovered: Index of the episode that a crash had cut off, or None.
 
     Raises:
-        FileHeld: Another process writes it.
+        FileHeld: Another process writes the folder.
         UserError: An episode is missing, the index is damaged, or the folder cannot be used.
     """
 
@@ -153,71 +66,70 @@ class EpisodeStore(EpisodeReader):
         observation: NDArray[np.floating],
         desired_goal: NDArray[np.floating],
     ) -> None:
-        """Begin an episode; when this returns, it is in the journal.
+        """Begin an episode in the journal.
 
         Args:
-            header: How it comes about.
-            observation: Before the first tick. ``(obs_dim,)``
-            desired_goal: ``(goal_dim,)``
+            header: Its description.
+            observation: Observation before the first tick. ``(obs_dim,)``
+            desired_goal: The goal. ``(goal_dim,)``
 
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        running = Running(len(self), header, observation, desired_goal, [])
+        running = RunningEpisode(len(self), header, observation, desired_goal, [])
         self._index.begin(running, durable=self.durable_ticks)
-        self._note()
+        self._write_note()
 
     def record(self, tick: RecordedTick) -> None:
-        """Add a tick to the episode; when this returns, it is in the journal.
+        """Add a tick to the journal of the episode.
 
         Raises:
-            UserError: The system refuses, such as on a full disk; the ticks before are kept.
+            UserError: The system refuses, such as on a full disk; earlier ticks are kept.
         """
         self._index.record(tick)
-        self._note()
+        self._write_note()
 
     def keep(self, stored: StoredEpisode, index: int) -> None:
-        """Store a whole episode that came about elsewhere; when this returns, it is durable.
+        """Store a whole episode of another process; when this returns, it is durable.
 
-        It is in the journal as a whole before it is sealed, so that a crash leaves it there. After
-        an interrupt the same may be asked again: what is left to do is done.
+        The journal holds it until it is sealed, so that a crash does not lose it. The call is
+        idempotent: after an interrupt it may be repeated.
 
         Args:
-            stored: It, whatever its index was elsewhere.
-            index: Its own: that of the next one, when this was first asked.
+            stored: The episode; its own index is ignored.
+            index: Index for it, which was the next one at the first call.
 
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
         self._index.catch_up()
         if index < len(self):
-            self._note()
+            self._write_note()
             return
-        assert index == len(self), "one after the other"
+        assert index == len(self), "episodes are stored in order"
         episode = stored.episode
-        running = Running(
+        running = RunningEpisode(
             index, stored.header, episode.observations[0], episode.desired_goal, stored.ticks()
         )
         self._index.begin(running, durable=False)
-        self._note()
+        self._write_note()
         self.seal(stored.ended)
 
     def seal(self, ended: str) -> int | None:
         """End the episode; when this returns, it is durable.
 
         Args:
-            ended: ``"done"``, or what cut it short.
+            ended: ``"done"``, or why it ended early.
 
         Returns:
-            Its index, or None if none was begun or not a tick of it was recorded: then there is
-            nothing to keep.
+            Its index, or None if no episode was begun or it has no tick.
 
         Raises:
-            UserError: The system refuses, such as on a full disk; the journal still has it.
+            UserError: The system refuses, such as on a full disk; the journal keeps it.
         """
         running = self.running
         if running is None or not running.ticks:
-            self._index.forget_running()
+            self._index.discard_running()
             return None
         return self.append(running.stored(ended))
 
@@ -225,19 +137,19 @@ class EpisodeStore(EpisodeReader):
         """Store an episode as the next one; when this returns, it is durable.
 
         Args:
-            stored: It, whatever its index was elsewhere.
+            stored: The episode; its own index is ignored.
 
         Returns:
             Its index.
 
         Raises:
-            UserError: The system refuses, such as on a full disk; the store is as before.
+            UserError: The system refuses, such as on a full disk; the store is unchanged.
         """
         index = len(self)
-        sealed = dataclasses.replace(stored, index=index).pack()
-        write_atomically(self.path(index), lambda file: file.write(sealed))
-        self._index.add(_digest(sealed))
-        self._note()
+        archive = dataclasses.replace(stored, index=index).pack()
+        write_atomically(self.path(index), lambda file: file.write(archive))
+        self._index.add(file_digest(archive))
+        self._write_note()
         return index
 
     def close(self) -> None:
@@ -248,45 +160,50 @@ class EpisodeStore(EpisodeReader):
     def _open_index(self) -> EpisodeIndex:
         for leftover in self.directory.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
-        return EpisodeIndex(self.directory / _INDEX)
+        return EpisodeIndex(self.directory / INDEX_NAME)
 
     def _recover(self) -> int | None:
-        self._require_newest()
+        self._check_newest()
         self._check_newer_names()
         running, beyond = self.running, self.path(len(self))
         if not beyond.exists():
             return self.seal(CUT_OFF)
-        # It was sealed, and only not indexed; its last tick may have had no room in the journal.
-        unknown = UserError(
-            f"{self.directory / _INDEX} does not know {beyond.name}; put the newest index back"
+        # Its file was written, but not indexed. The journal may lack its last tick.
+        not_indexed = UserError(
+            f"{self.directory / INDEX_NAME} does not know {beyond.name}; restore the newest index"
         )
         if running is None and self._lock.note:
-            raise unknown
-        sealed = read_file(beyond, "episode file")
-        stored = read_episode(beyond, sealed, len(self))
-        known = running is None  # as a crash of the machine may leave it, and nothing else
+            raise not_indexed
+        archive = read_file(beyond, "episode file")
+        stored = read_episode(beyond, archive, len(self))
+        known = running is None  # only a crash of the machine leaves it so
         if running is not None:
             known = stored.header == running.header and len(stored.episode) >= len(running.ticks)
         if not known:
-            raise unknown
-        self._index.add(_digest(sealed))
-        self._note()
+            raise not_indexed
+        self._index.add(file_digest(archive))
+        self._write_note()
         return stored.index
 
-    def _require_newest(self) -> None:
-        """Check that the index still has all that its last writer had noted."""
+    def _check_newer_names(self) -> None:
+        names = self._file_names()
+        # One more may have been sealed just before a crash.
+        if names - {self.path(index).name for index in range(len(self) + 1)}:
+            raise UserError(
+                f"{self.directory / INDEX_NAME} knows {len(self)} episodes, but there are files of "
+                f"{len(names)}; restore the newest index"
+            )
+
+    def _check_newest(self) -> None:
+        """Check that the index still has everything that its last writer noted."""
         episodes, ticks = self._lock.note.get("at", (0, 0))
         found = 0 if self.running is None else len(self.running.ticks)
         if (len(self), found) < (episodes, ticks):
             raise UserError(
-                f"{self.directory / _INDEX} lost a part: it had {episodes} episodes and {ticks} "
-                f"ticks of another, and has {len(self)} and {found}; it or its -wal file is "
-                "damaged or too old, put the newest ones back"
+                f"{self.directory / INDEX_NAME} lost a part: it had {episodes} episodes and "
+                f"{ticks} ticks of another, and has {len(self)} and {found}; it or its -wal file "
+                "is damaged or too old; restore the newest ones"
             )
 
-    def _note(self) -> None:
+    def _write_note(self) -> None:
         self._lock.write(at=(len(self), 0 if self.running is None else len(self.running.ticks)))
-
-
-def _digest(sealed: bytes) -> str:
-    return hashlib.sha256(sealed).hexdigest()

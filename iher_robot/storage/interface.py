@@ -1,4 +1,4 @@
-"""What real data mean: task, layout of observations, and the robot that they come from."""
+"""Interface of real data: task, observation layout and robot, in one file next to them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 _NAME = "interface.json"
 _MUST_AGREE = ("task", "layout_digest", "interface_digest")
 
 
 def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
-    """Write down beside data what they mean, or check that it is what they meant before.
+    """Write the interface file of a data folder, or check the one that is there.
 
     Args:
-        directory: Folder of the data; made if it does not exist.
+        directory: Folder of the data; created if it does not exist.
         interface: From ``GoalRobotEnv.policy_interface``.
 
     Raises:
@@ -33,29 +33,29 @@ def keep_interface(directory: Path, interface: Mapping[str, Any]) -> None:
         directory.mkdir(exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot use episode folder {directory}: {error.strerror}") from error
-    text = json.dumps(seal(interface), indent=1) + "\n"
+    text = json.dumps(add_checksum(interface), indent=1) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def read_interface(directory: Path) -> dict[str, Any]:
-    """Read what ``keep_interface`` wrote.
+    """Read the interface file of a data folder.
 
     Raises:
         UserError: It is missing or damaged.
     """
     path = directory / _NAME
-    return open_line(read_file(path, "interface file"), path, "interface file")
+    return load_checked(read_file(path, "interface file"), path, "interface file")
 
 
 def require_same_interface(directory: Path, interface: Mapping[str, Any]) -> None:
-    """Check that data mean the same here as where they come from.
+    """Check that data fit a run.
 
     Args:
         directory: Folder of the data.
-        interface: Of the run that is about to use them.
+        interface: Interface of the run that is about to use them.
 
     Raises:
-        UserError: They do not.
+        UserError: Task, observation layout or robot interface differ.
     """
     found = read_interface(directory)
     for name in _MUST_AGREE:

@@ -1,4 +1,4 @@
-"""What a run has spent: control ticks by account, written down before they are used."""
+"""Ledger of control ticks by account, written before the ticks are used."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from iher_robot.storage.accounts import (
     LEDGER,
     Account,
     Kind,
-    add_up,
     begun_ticks,
     lock_path,
+    total_entries,
 )
 from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.files.sqlite import Database
 
 
 class Entry:
-    """A reservation; until it is settled it counts in full.
+    """A reservation, which counts in full until it is settled.
 
     Attributes:
-        number: Its number in the ledger.
-        reserved_ticks: Ticks that were written down.
+        number: Number of the entry in the ledger.
+        reserved_ticks: Reserved ticks.
     """
 
     def __init__(
@@ -41,10 +41,10 @@ class Entry:
         self._settle = settle
 
     def begin(self, ticks: int) -> None:
-        """Note how many have begun, the one about to begin included.
+        """Note how many ticks have begun, including the one about to begin.
 
-        From the first call on, a crash of this program leaves that number counted, and not the
-        whole reservation; a crash of the machine still leaves the whole.
+        From the first call on, a crash of the process charges this number instead of the whole
+        reservation. A crash of the machine still charges the whole reservation.
 
         Args:
             ticks: Ticks since the reservation.
@@ -52,14 +52,14 @@ class Entry:
         self._begin(self.number, ticks)
 
     def settle(self, actual_ticks: int) -> None:
-        """Replace the reservation by what was really used.
+        """Replace the reservation by the ticks that were really used.
 
         Args:
-            actual_ticks: Ticks used. More than were reserved is written down as it is: ticks
-                that passed on a robot unseen are gone all the same.
+            actual_ticks: Ticks used. May be more than reserved: a robot also spends ticks that
+                this process does not see.
 
         Raises:
-            ValueError: Fewer than none, or settled already.
+            ValueError: The number is negative, or the reservation is settled already.
         """
         if actual_ticks < 0:
             raise ValueError(f"settled ticks must be >= 0, not {actual_ticks}")
@@ -67,10 +67,10 @@ class Entry:
 
 
 class Ledger(Closing):
-    """Append-only accounts of control ticks in one SQLite file; one process may hold it.
+    """Append-only accounts of control ticks in one SQLite file, for one process at a time.
 
-    A crash between reservation and settlement leaves counted what had begun by then, or the whole
-    reservation: the ledger may over-count, never under-count.
+    After a crash an open reservation counts as far as its ticks had begun, or in full: the ledger
+    may over-count, but never under-counts.
 
     Example:
         >>> with ledger.reserve("motion", 50) as entry:
@@ -81,17 +81,16 @@ class Ledger(Closing):
 
     Raises:
         FileHeld: Another process holds it.
-        UserError: It is no ledger, is damaged, or cannot be written.
+        UserError: The file is no ledger, is damaged, or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = LockFile(
             lock_path(path),
-            f"ledger {path} is in use: another run works in this folder, wait for it to end or "
-            "stop it",
+            f"ledger {path} is in use by another run in this folder; wait for it to end or stop it",
         )
-        # What an earlier holder noted stays noted until it is settled, whatever comes between.
+        # Notes of an earlier holder are kept until their reservations are settled.
         self._begun: dict[str, int] = dict(self._lock.note.get("begun", {}))
         try:
             self._database = Database(path, LEDGER)
@@ -99,51 +98,53 @@ class Ledger(Closing):
             self._lock.close()
             raise
         try:
-            self._accounts = add_up(self._database, self._lock.note.get("last", 0))
-            self._settle_what_a_crash_left()
+            self._accounts = total_entries(self._database, self._lock.note.get("last", 0))
+            self._settle_after_crash()
         except BaseException:
             self.close()
             raise
 
     @property
     def last_entry(self) -> int:
-        """Number of the newest entry, 0 without one."""
+        """Number of the newest entry, 0 if there is none."""
         return self._accounts.last
 
     @property
     def open_reservations(self) -> dict[int, tuple[Account, int]]:
-        """Account and ticks of what is reserved and not settled, by number."""
-        self._take_new_entries()  # an interrupt may have come before the last one was taken
+        """Account and ticks of open reservations, by number."""
+        self._read_new_entries()  # an interrupt may have skipped the last entry
         return dict(self._accounts.open)
 
     @property
     def granted_ticks(self) -> int:
-        """Ticks of motion that were granted beyond the run's own budget."""
+        """Ticks of motion granted beyond the run's own budget."""
         return self._accounts.granted_ticks
 
     @contextmanager
     def reserve(self, account: Account, ticks: int, *, counted: bool = False) -> Iterator[Entry]:
-        """Write down ticks before they are used; settle inside the block.
+        """Reserve ticks before they are used; settle inside the block.
 
         Args:
-            account: What they are for.
+            account: Account to charge.
             ticks: The most that will be used, at least one.
-            counted: Whether ``Entry.begin`` is told before each of them: until it is, none counts
-                after a crash of this program.
+            counted: Whether ``Entry.begin`` is called before each tick. After a crash of the
+                process only the ticks that have begun count.
 
         Yields:
-            The entry to settle. If it is not, by an exception or a crash, it counts in full, or
-            as far as ``Entry.begin`` was told.
+            The entry to settle. If an exception or a crash prevents that, it counts in full, or
+            as far as ``Entry.begin`` noted.
         """
         if account not in ACCOUNTS:
             raise ValueError(f"unknown account {account!r}, valid: {', '.join(ACCOUNTS)}")
         if ticks < 1:
             raise ValueError(f"reserved ticks must be >= 1, not {ticks}")
-        self._take_new_entries()
+        self._read_new_entries()
         if counted:
-            self._note_begun(self._accounts.last + 1, 0)  # first: its number is known
+            self._note_begun(self._accounts.last + 1, 0)  # first: its number is already known
         else:
-            self._begun.pop(str(self._accounts.last + 1), None)  # of one that was never written
+            self._begun.pop(
+                str(self._accounts.last + 1), None
+            )  # note of an entry that was never written
         number = self._append("reserve", account, None, int(ticks))
         yield Entry(number, int(ticks), self._note_begun, self.settle)
 
@@ -153,13 +154,13 @@ class Ledger(Closing):
         Raises:
             ValueError: It is settled already.
         """
-        self._take_new_entries()  # an interrupt may have come before the last one was taken
+        self._read_new_entries()  # an interrupt may have skipped the last entry
         if number not in self._accounts.open:
-            raise ValueError(f"entry {number} of the ledger is settled already")
+            raise ValueError(f"entry {number} of the ledger is already settled")
         self._append("settle", self._accounts.open[number][0], number, int(ticks))
 
     def grant(self, ticks: int) -> None:
-        """Write down more ticks of motion for the run.
+        """Grant the run more ticks of motion.
 
         Args:
             ticks: At least one.
@@ -169,7 +170,7 @@ class Ledger(Closing):
         self._append("grant", "motion", None, int(ticks))
 
     def spent_ticks(self, account: Account) -> int:
-        """Ticks of an account: those settled, and those reserved and not yet settled."""
+        """Ticks of an account, settled or reserved."""
         return self._accounts.spent[account]
 
     def close(self) -> None:
@@ -177,37 +178,37 @@ class Ledger(Closing):
         self._database.close()
         self._lock.close()
 
-    def _settle_what_a_crash_left(self) -> None:
+    def _settle_after_crash(self) -> None:
         note = dict(self._lock.note)
         for number in list(self._accounts.open):
             begun = begun_ticks(note, number)
             if begun is not None:
                 self.settle(number, begun)
-        # Of a reservation that was noted and never written nothing may be left for its successor.
+        # A note whose reservation was never written must not count for the next reservation.
         self._begun = {}
-        self._note()
+        self._write_note()
 
     def _append(self, kind: Kind, account: Account, reservation: int | None, ticks: int) -> int:
-        self._take_new_entries()  # an interrupt may have come before the last one was taken
+        self._read_new_entries()  # an interrupt may have skipped the last entry
         row = self._accounts.next_row(kind, account, reservation, ticks)
         self._database.execute("INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?)", row)
-        self._take_new_entries()
+        self._read_new_entries()
         self._begun.pop(str(reservation), None)
-        self._note()
+        self._write_note()
         return self._accounts.last
 
-    def _take_new_entries(self) -> None:
+    def _read_new_entries(self) -> None:
         query = "SELECT * FROM entry WHERE id > ? ORDER BY id"
         rows = self._database.rows(query, (self._accounts.last,))
         if rows:
-            accounts = self._accounts.copy()  # an interrupt finds all of it taken, or nothing
+            accounts = self._accounts.copy()  # an interrupt leaves all of it applied, or nothing
             for row in rows:
-                accounts.take(row)
+                accounts.apply(row)
             self._accounts = accounts
 
     def _note_begun(self, number: int, ticks: int) -> None:
         self._begun[str(number)] = ticks
-        self._note()
+        self._write_note()
 
-    def _note(self) -> None:
+    def _write_note(self) -> None:
         self._lock.write(last=self._accounts.last, begun=self._begun)

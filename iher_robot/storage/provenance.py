@@ -1,4 +1,4 @@
-"""Where a result came from: command, versions, commit and machine."""
+"""Provenance of a result: command, versions, commit and machine."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 UNKNOWN = "unknown"
 _DISTRIBUTIONS = ("iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
 
 
 def collect_provenance(command: Sequence[str], seed: int, started: datetime) -> dict[str, Any]:
-    """Describe this process; plain values only.
+    """Describe this process.
 
     Args:
         command: The command line.
         seed: The run's seed.
-        started: When it began.
+        started: Start time.
 
     Returns:
-        ``command``, ``seed``, ``started``, ``versions``, ``commit``, ``dirty`` and ``machine``.
+        JSON values: ``command``, ``seed``, ``started``, ``versions``, ``commit``, ``dirty`` and
+        ``machine``.
     """
     return {
         "command": list(command),
@@ -41,10 +42,10 @@ def collect_provenance(command: Sequence[str], seed: int, started: datetime) -> 
 
 
 def write_provenance(path: Path, provenance: dict[str, Any]) -> None:
-    """Keep the provenance of a run; that of each resumption is listed under ``resumed``.
+    """Write the provenance of a run, or add that of a resumption under ``resumed``.
 
     Args:
-        path: The file; the first process of the run writes it, later ones add to it.
+        path: The file.
         provenance: From ``collect_provenance``.
 
     Raises:
@@ -54,21 +55,21 @@ def write_provenance(path: Path, provenance: dict[str, Any]) -> None:
     if path.exists():
         document = read_provenance(path)
         document.setdefault("resumed", []).append(provenance)
-    text = json.dumps(seal(document), indent=2) + "\n"
+    text = json.dumps(add_checksum(document), indent=2) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """Read what ``write_provenance`` wrote.
+    """Read the provenance of a run.
 
     Raises:
         UserError: It is missing or damaged.
     """
-    return open_line(read_file(path, "provenance file"), path, "provenance file")
+    return load_checked(read_file(path, "provenance file"), path, "provenance file")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide a result."""
+    """Versions of Python and of the packages that affect results."""
     found = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
@@ -85,11 +86,11 @@ def commit(folder: Path) -> dict[str, Any]:
         folder: The folder.
 
     Returns:
-        ``commit``, or ``"unknown"`` if git does not track the folder, and ``dirty``: whether
-        tracked files differ from it, or None.
+        ``commit``, ``"unknown"`` if git does not track the folder; and ``dirty``, whether
+        tracked files differ from it, None if unknown.
     """
     unknown = {"commit": UNKNOWN, "dirty": None}
-    # A package that is installed below somebody's checkout is not of that checkout's commit.
+    # A package installed inside another repository does not have that repository's commit.
     if not _git(folder, "ls-files"):
         return unknown
     revision = _git(folder, "rev-parse", "HEAD")
@@ -100,7 +101,7 @@ def commit(folder: Path) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """CPU model, cores that this process may use, memory, GPU and system."""
+    """CPU model, usable cores, GPU and operating system."""
     import torch
 
     return {

@@ -1,4 +1,4 @@
-"""The folder of a training run: what lies where, and its metrics."""
+"""Folder of a training run: paths, settings file and metrics."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal_line
+from iher_robot.storage.files.checksum import dump_checked, load_checked
 
 Row = Mapping[str, Any]
 
-_SEAL = b"# sha256: "
+_CHECKSUM = b"# sha256: "
 
 
 class RunDirectory:
-    """Paths of a run, whose folder exists; make one by ``create`` or ``open``.
+    """Paths of a run's existing folder; use ``create`` or ``open``.
 
     Args:
         path: The run's folder.
@@ -43,14 +43,14 @@ class RunDirectory:
 
     @classmethod
     def create(cls, path: Path, config_text: str) -> RunDirectory:
-        """Start a new run's folder and keep its settings there.
+        """Create the folder of a new run and write its settings.
 
         Args:
             path: A folder that does not exist yet, or is empty.
-            config_text: From ``dump_config``.
+            config_text: Settings from ``dump_config``.
 
         Raises:
-            UserError: The folder holds something, is a file, or cannot be written.
+            UserError: The folder is not empty, is a file, or cannot be written.
         """
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -59,35 +59,35 @@ class RunDirectory:
                     f"run folder {path} is not empty; continue its run with --resume {path}, or "
                     "choose another folder with --out"
                 )
-            # Of two that start at one moment only one may have it.
+            # Exclusive: two runs that start at once must not share the folder.
             (path / "config.yaml").touch(exist_ok=False)
         except FileExistsError:
-            what = "is taken by another run that starts just now" if path.is_dir() else "is a file"
+            what = "is taken by another run that just started" if path.is_dir() else "is a file"
             raise UserError(f"run folder {path} {what}; choose another with --out") from None
         except OSError as error:
             raise UserError(
-                f"cannot make run folder {path}: {error.strerror or error}; choose another with "
+                f"cannot create run folder {path}: {error.strerror or error}; choose another with "
                 "--out"
             ) from error
         directory = cls(path)
         text = config_text.encode()
-        sealed = text + _config_seal(text)
-        write_atomically(directory.config_path, lambda file: file.write(sealed))
+        content = text + _config_checksum(text)
+        write_atomically(directory.config_path, lambda file: file.write(content))
         return directory
 
     @classmethod
     def open(cls, path: Path) -> RunDirectory:
-        """Open the folder of a run that was started earlier, to resume it.
+        """Open the folder of an earlier run to resume it.
 
         Raises:
-            UserError: There is none, or what it spent is not known.
+            UserError: There is no run, its settings have changed, or its ledger is missing.
         """
         directory = cls(path)
         if not path.is_dir():
             raise UserError(f"there is no run folder at {path}")
         needed = [directory.config_path]
         if directory.episodes_path.exists():
-            # Without its ledger a run would spend its budget a second time.
+            # Without the ledger the budget would be spent again.
             needed.append(directory.ledger_path)
         for file in needed:
             if not file.is_file():
@@ -96,29 +96,29 @@ class RunDirectory:
         return directory
 
     def check_config(self) -> None:
-        """Check that the settings are those that the run began with.
+        """Check that the settings file has not changed since the run began.
 
         Raises:
-            UserError: They are not.
+            UserError: It has changed.
         """
         text = read_file(self.config_path, "config file")
-        end = text.rfind(_SEAL)
-        if end < 0 or text[end:] != _config_seal(text[:end]):
+        end = text.rfind(_CHECKSUM)
+        if end < 0 or text[end:] != _config_checksum(text[:end]):
             raise UserError(
-                f"{self.config_path} is not what the run was started with; put it back, or start "
-                "a new run with another --out"
+                f"{self.config_path} has changed since the run began; restore it, or start a new "
+                "run with another --out"
             )
 
     def append_metrics(self, row: Row) -> None:
-        """Add one line to the metrics; numbers that are not finite become null.
+        """Append one line to the metrics; non-finite numbers become null.
 
         Args:
-            row: What was measured in an epoch; numpy and torch scalars are taken as numbers.
+            row: Metrics of an epoch; scalars of numpy and torch are written as numbers.
 
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        line = seal_line(_plain(row))
+        line = dump_checked(_plain(row))
         try:
             with self.metrics_path.open("a+b") as file:
                 _drop_torn_line(file.fileno())
@@ -130,7 +130,7 @@ class RunDirectory:
             raise UserError(f"cannot write {self.metrics_path}: {reason}") from error
 
     def read_metrics(self) -> list[dict[str, Any]]:
-        """All lines of the metrics; one that a crash cut off is left out.
+        """Read all lines of the metrics, except one that a crash cut off.
 
         Raises:
             UserError: A line is damaged.
@@ -139,13 +139,13 @@ class RunDirectory:
             return []
         *lines, _ = read_file(self.metrics_path, "metrics file").split(b"\n")
         return [
-            open_line(line, f"{self.metrics_path}, line {number},", "metrics")
+            load_checked(line, f"{self.metrics_path}, line {number},", "metrics")
             for number, line in enumerate(lines, start=1)
         ]
 
     def replace_metrics(self, rows: Sequence[Row]) -> None:
-        """Write all lines of the metrics anew, as a checkpoint has them."""
-        text = b"".join(seal_line(_plain(row)) + b"\n" for row in rows)
+        """Rewrite all lines of the metrics, to match a checkpoint."""
+        text = b"".join(dump_checked(_plain(row)) + b"\n" for row in rows)
         write_atomically(self.metrics_path, lambda file: file.write(text))
 
 
@@ -157,22 +157,22 @@ def default_run_path(
     root: Path = Path("runs"),
     now: datetime | None = None,
 ) -> Path:
-    """Name of a run's folder if none is given, such as ``push-iher-default-seed0-20250131-120000``.
+    """Default folder of a run, such as ``push-iher-default-seed0-20250131-120000``.
 
     Args:
         task: Name of the task.
         algo: Name of the algorithm.
-        preset: Name of the preset, or the path of a file, of which the stem is used.
+        preset: Name of the preset, or the path of a file, whose stem is used.
         seed: The run's seed.
         root: Folder of all runs.
-        now: When the run starts, by default at this moment.
+        now: Start time; the current time by default.
     """
     moment = (now or datetime.now()).strftime("%Y%m%d-%H%M%S")
     return root / f"{task}-{algo}-{Path(preset).stem}-seed{seed}-{moment}"
 
 
-def _config_seal(text: bytes) -> bytes:
-    return _SEAL + hashlib.sha256(text).hexdigest().encode() + b"\n"
+def _config_checksum(text: bytes) -> bytes:
+    return _CHECKSUM + hashlib.sha256(text).hexdigest().encode() + b"\n"
 
 
 def _plain(value: Any) -> Any:
@@ -186,7 +186,7 @@ def _plain(value: Any) -> Any:
 
 
 def _drop_torn_line(descriptor: int) -> None:
-    """Cut off what a crash left of a line, or the next one would be appended to it."""
+    """Remove a partial last line that a crash left."""
     size = os.fstat(descriptor).st_size
     content = os.pread(descriptor, size, 0)
     if not content.endswith(b"\n"):

@@ -1,4 +1,4 @@
-"""What a run came to: the file that it writes last."""
+"""Result file of a run, written when it ends."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from pathlib import Path
 
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file, write_atomically
-from iher_robot.storage.files.checksum import open_line, seal
+from iher_robot.storage.files.checksum import add_checksum, load_checked
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
         epochs: Epochs done.
         robot_minutes: Robot minutes spent.
         budget_minutes: Robot minutes granted.
-        success: Success rate of the last evaluation while training; None if there was none.
-        final_successes: Fresh episodes of the final policy that succeeded; None without any.
-        final_episodes: How many there were; 0 on a robot that is the only one.
-        wall_seconds: Wall-clock time of the training, interruptions left out.
+        success: Success rate of the last evaluation during training; None without one.
+        final_successes: Successes of the final policy in fresh episodes; None without any.
+        final_episodes: Number of these episodes; 0 where there is no simulator.
+        wall_seconds: Wall-clock time of the training, without interruptions.
     """
 
     epochs: int
@@ -35,24 +35,24 @@ class RunResult:
 
 
 def write_result(path: Path, result: RunResult) -> None:
-    """Write it, whole or not at all.
+    """Write the result atomically.
 
     Raises:
         UserError: The system refuses, such as on a full disk.
     """
-    text = json.dumps(seal(asdict(result)), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(add_checksum(asdict(result)), indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def read_result(path: Path) -> RunResult | None:
-    """Read it; None if the run has not ended.
+    """Read the result; None if the run has not ended.
 
     Raises:
         UserError: The file is damaged.
     """
     if not path.exists():
         return None
-    content = open_line(read_file(path, "result file"), path, "result file")
+    content = load_checked(read_file(path, "result file"), path, "result file")
     try:
         return RunResult(**content)
     except TypeError:

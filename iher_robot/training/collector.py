@@ -11,7 +11,7 @@ import numpy as np
 from drivers import Clock
 from drivers.closing import Closing
 from iher_robot.evaluation.success_rate import Outcome
-from iher_robot.learning.episode import Episode
+from iher_robot.learning.goal_model import moved_goal
 from iher_robot.learning.learner import Learner
 from iher_robot.rollout.episode import Stream, episode_seed
 from iher_robot.rollout.reconnect import ReconnectPolicy
@@ -26,9 +26,6 @@ from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.epoch import EpochData
 from iher_robot.training.listener import EpisodeReport, RunListener, TickForwarder
 from iher_robot.training.setup import CPU, TrainingSetup
-
-MOVED_M = 0.01
-"""Displacement of the achieved goal from which an episode counts as one that moved it. m"""
 
 
 class Collector(Closing):
@@ -89,7 +86,7 @@ class Collector(Closing):
     @property
     def spent(self) -> bool:
         """Whether the budget is spent."""
-        return self._budget.remaining_ticks == 0
+        return self._budget.remaining.ticks == 0
 
     def collect(self, number: int, learner: Learner, between: Callable[[], None]) -> None:
         """Collect an epoch's real episodes as far as the budget goes; it is the last one pending.
@@ -110,7 +107,7 @@ class Collector(Closing):
                     epoch.episodes.append(episode)
                     self.collected += 1
                 self._listener.phase("collect", len(epoch.episodes), self._wanted)
-                self._listener.minutes(self._setup.minutes_of(self._budget.spent_ticks))
+                self._listener.minutes(self._budget.spent.minutes)
                 self._report("motion", epoch.number, outcome)
         if epoch.episodes:
             self.pending.append(epoch)
@@ -118,14 +115,16 @@ class Collector(Closing):
     def take(self) -> EpochData:
         """Take the oldest pending epoch, with the metrics that are known of it."""
         epoch = self.pending.pop(0)
-        # Those that follow it do not count.
-        ticks = self._budget.spent_ticks - sum(later.ticks for later in self.pending)
+        later_ticks = sum(later.ticks for later in self.pending)
+        spent = self._budget.spent  # with epochs that follow this one
         epoch.metrics = {
-            "robot_minutes": self._setup.minutes_of(ticks),
+            "robot_minutes": spent.with_ticks(spent.ticks - later_ticks).minutes,
             "episodes": self.collected - sum(len(later.episodes) for later in self.pending),
         }
         if self._setup.env.task.layout.object_entry is not None:
-            epoch.metrics["object_moved"] = float(np.mean([self._moved(e) for e in epoch.episodes]))
+            model = self._setup.env.task.goal_model
+            moved = [moved_goal(model, episode) for episode in epoch.episodes]
+            epoch.metrics["object_moved"] = float(np.mean(moved))
         epoch.metrics |= self._robot.jitter.take()
         return epoch
 
@@ -160,7 +159,7 @@ class Collector(Closing):
                 learner, epoch=epoch.number, first=self.collected, count=count
             )
             return
-        ticks = min(self._setup.env.task.episode_ticks, self._budget.remaining_ticks)
+        ticks = min(self._setup.env.task.episode_ticks, self._budget.remaining.ticks)
         yield self._robot.run(
             "motion",
             partial(self._budget.reserve, ticks, counted=True),
@@ -184,7 +183,3 @@ class Collector(Closing):
 
     def _seed(self, number: int) -> int:
         return episode_seed(self._setup.config.seed, Stream.COLLECTION, number)
-
-    def _moved(self, episode: Episode) -> bool:
-        achieved = self._setup.env.task.goal_model.achieved_goal(episode.observations)
-        return bool(np.linalg.norm(achieved - achieved[0], axis=-1).max() > MOVED_M)

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+from iher_robot.evaluation.plot import plot_success
 from iher_robot.rollout.observer import EpisodeObserver, Transition
 from iher_robot.storage.accounts import Account
 
@@ -184,8 +185,6 @@ class SuccessPlot(RunListener):
 
     def epoch(self, row: Row) -> None:
         """Plot."""
-        from iher_robot.evaluation.plot import plot_success  # matplotlib takes a second to load
-
         self._rows.append(row)
         plot_success(
             {self._label: self._rows},

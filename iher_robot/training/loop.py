@@ -18,7 +18,6 @@ from iher_robot.signals import end_if_terminated
 from iher_robot.storage.budget import Budget
 from iher_robot.storage.checkpoint import save_checkpoint
 from iher_robot.storage.episode_store import EpisodeStore
-from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import write_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.collector import Collector
@@ -37,7 +36,7 @@ class TrainingRun:
     Args:
         setup: Robot, simulators and learner.
         directory: The run folder; if it holds a checkpoint, the run goes on from there.
-        ledger: Accounts of the run.
+        budget: Budget of the run, with its ledger.
         store: Store of its real episodes.
         listener: Follows the run.
         provenance: Command, commit, versions and machine of the run.
@@ -51,7 +50,7 @@ class TrainingRun:
         self,
         setup: TrainingSetup,
         directory: RunDirectory,
-        ledger: Ledger,
+        budget: Budget,
         store: EpisodeStore,
         listener: RunListener,
         provenance: dict[str, Any],
@@ -60,8 +59,8 @@ class TrainingRun:
         self.config = setup.config
         self.setup = setup
         self.directory = directory
-        self.ledger = ledger
-        self.budget = Budget(ledger, setup.budget_ticks)
+        self.budget = budget
+        self.ledger = budget.ledger
         self.store = store
         self.listener = listener
         self.provenance = provenance
@@ -120,7 +119,7 @@ class TrainingRun:
         if restored.collected:
             self.listener.announce(
                 f"going on after epoch {len(self.rows)}, with {restored.collected} real episodes "
-                f"and {self.setup.minutes_of(self.budget.spent_ticks):.2f} robot minutes spent"
+                f"and {self.budget.spent} spent"
             )
         if restored.pending and restored.pending[0].earlier:
             count = len(restored.pending[0].episodes)

@@ -12,7 +12,8 @@ from iher_robot.learning.episode import Episode
 from iher_robot.storage.accounts import Account
 from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.episode import DONE, StoredEpisode
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.epoch import EpochData

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.rollout.simulators.pool import SimulatorPool
-from iher_robot.storage.budget import budget_ticks
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training.learners.process_group import PeerGroup
 from iher_robot.training.learners.torchrun import read_torchrun_rank
 from tasks import GoalTask
@@ -38,7 +39,7 @@ class TrainingSetup:
             or another driver with the same options would move the same one.
         pool: Several simulators in parallel; None where one is enough.
         learner: The learner; in an asynchronous run the copy that acts, on the CPU.
-        budget_ticks: Control ticks of the configured budget.
+        budget: The configured budget.
         group: Processes of ``torchrun`` that learn together; None where this one learns alone.
     """
 
@@ -47,24 +48,20 @@ class TrainingSetup:
     simulator: GoalRobotEnv | None
     pool: SimulatorPool | None
     learner: Learner
-    budget_ticks: int
+    budget: RobotTime
     group: PeerGroup | None = None
 
-    def minutes_of(self, ticks: int) -> float:
-        """Robot minutes of so many control ticks."""
-        return ticks * self.env.driver.spec.control_period_s / 60.0
-
-    def describe_budget(self, budget_ticks: int, spent_ticks: int) -> str:
+    def describe_budget(self, total: RobotTime, spent: RobotTime) -> str:
         """Describe what the budget means for the robot, in one sentence.
 
         Args:
-            budget_ticks: Ticks of motion that the run may spend, granted ones included.
-            spent_ticks: Those that it has spent.
+            total: Motion that the run may spend, grants included.
+            spent: Motion that it has spent.
         """
         per_episode = self.env.task.episode_ticks
-        left_ticks = max(0, budget_ticks - spent_ticks)
-        episodes = -(-left_ticks // per_episode)
-        period_ms = self.env.driver.spec.control_period_s * 1e3
+        left = total.minus(spent)
+        episodes = math.ceil(left.ticks / per_episode)
+        period_ms = left.control_period_s * 1e3
         place = (
             "on a simulator of its own, free of charge"
             if self.simulator is not None
@@ -72,19 +69,19 @@ class TrainingSetup:
         )
         evaluations = self._evaluations(episodes)
         evaluated = evaluations * self.evaluation_episodes
-        what = f"{self.minutes_of(left_ticks):.4g} robot minutes"
-        if spent_ticks:
-            what += f" of {self.minutes_of(budget_ticks):.4g} are left, which"
+        what = f"{left.minutes:.4g} robot minutes"
+        if spent.ticks:
+            what += f" of {total.minutes:.4g} are left, which"
         sentence = (
-            f"{what} are {left_ticks:,} ticks of {period_ms:g} ms: {episodes:,} episodes of up to "
+            f"{what} are {left.ticks:,} ticks of {period_ms:g} ms: {episodes:,} episodes of up to "
             f"{per_episode}, each with a reset; "
             f"evaluation runs {place}, {self.evaluation_episodes:,} episodes each time, about "
             f"{evaluated:,} in all"
         )
         if not self.env.driver.paces_itself:
             return sentence
-        motion = _wall_time(left_ticks * period_ms / 1e3)
-        evaluation = _wall_time(evaluated * per_episode * period_ms / 1e3)
+        motion = _wall_time(left.seconds)
+        evaluation = _wall_time(left.with_ticks(evaluated * per_episode).seconds)
         return (
             f"{sentence}; the robot moves in real time: about {motion} for the budget and "
             f"{evaluation} for evaluation, resets and learning not counted"
@@ -103,8 +100,8 @@ class TrainingSetup:
 
     def _evaluations(self, episodes: int) -> int:
         """How often a run that spends its budget in whole episodes is evaluated."""
-        epochs = -(-episodes // self.config.learner.schedule.real_episodes)
-        return -(-epochs // self.config.evaluation.every_epochs)  # the last epoch always is
+        epochs = math.ceil(episodes / self.config.learner.schedule.real_episodes)
+        return math.ceil(epochs / self.config.evaluation.every_epochs)  # the last one always is
 
 
 @contextmanager
@@ -132,8 +129,8 @@ def open_training_setup(config: RunConfig) -> Iterator[TrainingSetup]:
         learner = make_learner(
             config, env.task, CPU if config.asynchronous else device, group or ALONE
         )
-        ticks = budget_ticks(config.budget_minutes, env.driver.spec.control_period_s)
-        yield TrainingSetup(config, env, simulator, pool, learner, ticks, group)
+        budget = RobotTime.from_minutes(config.budget_minutes, env.driver.spec.control_period_s)
+        yield TrainingSetup(config, env, simulator, pool, learner, budget, group)
 
 
 def _make_group(config: RunConfig) -> PeerGroup | None:

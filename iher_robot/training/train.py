@@ -18,6 +18,7 @@ from iher_robot.config.run import (
     RunConfig,
     RunOptions,
     change_simulators,
+    check_options,
     dump_config,
     load_config,
     read_config,
@@ -41,7 +42,6 @@ from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.listener import RunListener, RunListeners, SuccessPlot
 from iher_robot.training.loop import TrainingRun
 from iher_robot.training.setup import TrainingSetup, open_training_setup
-from iher_robot.training.tensorboard import TensorBoard
 from iher_robot.training.warm_start import check_sources, copy_sources
 
 
@@ -128,6 +128,7 @@ def train(
     Raises:
         UserError: Bad input; nothing has moved.
     """
+    check_options("train", options)
     if (config is None) == (task is None) or (config is not None and options):
         raise UserError("train takes either a config, or a task with its options")
     if config is None:
@@ -182,24 +183,24 @@ def _train(
     with ExitStack() as stack:
         ledger = stack.enter_context(Ledger(directory.ledger_path))
         directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
-        budget = Budget(ledger, setup.budget_ticks)
-        minutes = setup.minutes_of(budget.budget_ticks)
+        budget = Budget(ledger, setup.budget)
+        minutes = budget.total.minutes
         keep_interface(directory.episodes_path, setup.env.policy_interface())
         if not directory.checkpoint_path.exists():  # later another copy would be another run
             copy_sources(setup.config.from_data, directory.warm_start_path)
         durable = setup.simulator is None  # a robot that a person waits for: each tick is kept
         store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
         listener = _open_listeners(stack, setup, directory, provenance, minutes, display=display)
-        listener.announce(setup.describe_budget(budget.budget_ticks, budget.spent_ticks))
+        listener.announce(setup.describe_budget(budget.total, budget.spent))
         try:
-            run = TrainingRun(setup, directory, ledger, store, listener, provenance)
+            run = TrainingRun(setup, directory, budget, store, listener, provenance)
             last = run.run()
         except KeyboardInterrupt as error:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
         # An asynchronous run has collected an epoch that is not in the last row.
-        spent_minutes = setup.minutes_of(budget.spent_ticks)
+        spent_minutes = budget.spent.minutes
     final = _final_evaluation(setup, directory, video=video)
     success = next((row["success"] for row in reversed(run.rows) if "success" in row), None)
     result = RunResult(
@@ -246,6 +247,8 @@ def _open_listeners(
     display: bool,
 ) -> RunListener:
     """Make the listeners of a run; questions to the operator pause them."""
+    from iher_robot.training.tensorboard import TensorBoard  # takes 0.5 s to import
+
     config, robot = setup.config, setup.config.chosen_robot.title
     title = f"{config.task} on {robot}, {config.algo}, {config.preset}"
     plot = SuccessPlot(

@@ -9,7 +9,8 @@ from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import StoredEpisode
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.files.atomic import sync_directory
 from iher_robot.storage.interface import require_same_interface
 

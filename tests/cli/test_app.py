@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import re
 import signal
 import subprocess
@@ -23,8 +22,9 @@ from iher_robot.evaluation.video import film
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
+from tests.forked import run_forked
 from tests.repository import ROOT
 from tests.small_runs import TINY
 
@@ -312,14 +312,7 @@ def terminated_train(out: Path, **environment: str) -> subprocess.CompletedProce
     words += "--task reach --preset paper --budget-minutes 0.2".split()
     words += "--set learner.schedule.real_rollouts=6".split()
     words += ["--out", str(out), "--quiet", "--device", "cpu"]
-    return subprocess.run(
-        [sys.executable, "-c", SIGTERM_IN_STEP_131, "train", *words],
-        check=False,
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | environment,
-    )
+    return run_forked(SIGTERM_IN_STEP_131, "train", *words, **environment)
 
 
 def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -> None:
@@ -333,8 +326,8 @@ def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -
     # The tick in flight is charged, though nothing of it could be stored.
     assert ticks(out) == (131, 130)
 
-    resumed = [sys.executable, "-m", "iher_robot", "train", "--quiet", "--resume", str(out)]
-    subprocess.run(resumed, cwd=ROOT, check=True, capture_output=True)
+    program = "from iher_robot.cli.app import main; main()"
+    assert run_forked(program, "train", "--quiet", "--resume", str(out)).returncode == 0
     assert ticks(out)[0] == 300
 
 

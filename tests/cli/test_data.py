@@ -76,7 +76,7 @@ def test_what_the_data_are(run: Run) -> None:
 
 
 def test_verify_exits_with_1_if_something_is_damaged(run: Run) -> None:
-    assert run("verify runs/[one]") == (0, "2 episodes, 12 ticks: all whole\n", "")
+    assert run("verify runs/[one]") == (0, "2 episodes, 12 ticks: no problems\n", "")
 
     damage("runs/[one]/episodes/episode-000001.npz")
     code, out, err = run("verify runs/[one]")

@@ -122,7 +122,7 @@ def test_values_are_read_as_their_keys_type(
         ("learner..gamma=3", ["key=value"]),
         ("seed=[1", ["--set seed=[1", "not valid YAML"]),
         ("seed=" + "[" * 5000, ["not valid YAML"]),
-        ("learner.ddpg={gamma: 0.9, gamma: 0.8}", ["gamma", "twice"]),
+        ("learner.ddpg={gamma: 0.9, gamma: 0.8}", ["gamma", "duplicate"]),
         ("learner.ddpg.hidden=&a [*a]", ["--set learner.ddpg.hidden"]),
         ("learner.ddpg={[1]: 2}", ["--set learner.ddpg"]),
         ("seed=!!python/object/apply:os.getcwd []", ["not valid YAML"]),

@@ -15,7 +15,7 @@ from iher_robot.datasets.run_reader import examine_store
 from iher_robot.errors import UserError
 from iher_robot.storage.episode import RecordedTick, StoredEpisode
 from iher_robot.storage.episode_store import EpisodeStore
-from iher_robot.storage.files.atomic import seal_zip
+from iher_robot.storage.files.checksum import add_zip_checksum
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
 from tests.run_folders import PERIOD_S, make_run, make_stored
@@ -120,9 +120,9 @@ def test_an_episode_tick_by_tick(run: Path) -> None:
 def test_a_whole_run_is_whole(run: Path) -> None:
     make_run(run.parent / "second", [make_stored(9, valid=(True,))])
 
-    assert verify([run]).summary() == "4 episodes, 19 ticks: all whole"
-    assert verify([run, run.parent / "second"]).summary() == "5 episodes, 20 ticks: all whole"
-    assert verify([run.parent / "second"]).summary() == "1 episode, 1 tick: all whole"
+    assert verify([run]).summary() == "4 episodes, 19 ticks: no problems"
+    assert verify([run, run.parent / "second"]).summary() == "5 episodes, 20 ticks: no problems"
+    assert verify([run.parent / "second"]).summary() == "1 episode, 1 tick: no problems"
 
 
 def test_reading_changes_nothing(run: Path) -> None:
@@ -161,7 +161,7 @@ def forge_episode(run: Path) -> None:
         arrays = dict(file)
     arrays["valid"] = ~arrays["valid"]
     np.savez(path, allow_pickle=False, **arrays)
-    path.write_bytes(seal_zip(path.read_bytes()))
+    path.write_bytes(add_zip_checksum(path.read_bytes()))
 
 
 def swap_episodes(run: Path) -> None:
@@ -232,7 +232,7 @@ def metrics_of_more(run: Path) -> None:
         (lose_episode, "episode-000001.npz is missing", 3),
         (damage_index, "index.sqlite", 4),
         (damage_ledger, "ledger.sqlite", 4),
-        (renew_ledger, "ledger.sqlite counts 3 ticks of motion, and 1", 4),
+        (renew_ledger, "ledger.sqlite counts 3 ticks of motion, but 1", 4),
         (lose_ledger, "ledger.sqlite", 4),
         (change_config, "config.yaml", 4),
         (lose_config, "config.yaml", 4),
@@ -240,7 +240,7 @@ def metrics_of_more(run: Path) -> None:
         (change_interface, "interface.json", 4),
         (foreign_checkpoint, "checkpoint.pt", 4),
         (foreign_policy, "policy.pt", 4),
-        (metrics_of_more, "metrics.jsonl tells of 5 episodes of motion, and 3 are stored", 4),
+        (metrics_of_more, "metrics.jsonl reports 5 episodes of motion, but 3 are stored", 4),
     ],
 )
 def test_damage_is_found_and_its_file_named(
@@ -291,10 +291,10 @@ def test_a_run_that_goes_on_can_be_read(run: Path) -> None:
         entry.begin(1)
         store.record(recorded)
         before = ls([run])[0]
-        assert verify([run]).summary() == "4 episodes, 19 ticks: all whole"
+        assert verify([run]).summary() == "4 episodes, 19 ticks: no problems"
         store.seal("done")
         after = ls([run])[0]
-        assert verify([run]).summary() == "5 episodes, 20 ticks: all whole"
+        assert verify([run]).summary() == "5 episodes, 20 ticks: no problems"
         entry.settle(1)
 
     assert (before.problem, before.episodes) == ("", 4)

@@ -249,7 +249,7 @@ def test_runs_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
     action = {**other["spec"]["action"], "position_scale_m": 0.01}
     keep_interface(path.parent, {**other, "spec": {**other["spec"], "action": action}})
     make_run(tmp_path / "empty")
-    fail(tmp_path, [reach, push], "of task 'reach'", "of 'push'", "on their own")
+    fail(tmp_path, [reach, push], "of task 'reach'", "of 'push'", "separately")
     fail(tmp_path, [reach, again], "different things", "0.05", "0.01")
     fail(tmp_path, [reach, tmp_path / "." / "reach"], "given 2 times")
     fail(tmp_path, [tmp_path / "empty"], "no episode")
@@ -285,9 +285,9 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(tmp_path: Path) -> 
     export_parquet([first], out=out)
     export_minari([first], dataset="b-v0", root=tmp_path)
 
-    with pytest.raises(UserError, match=r"out\.parquet is there already; .*--overwrite"):
+    with pytest.raises(UserError, match=r"out\.parquet already exists; .*--overwrite"):
         export_parquet([second], out=out)
-    with pytest.raises(UserError, match=r"b-v0 is there already; .*--overwrite"):
+    with pytest.raises(UserError, match=r"b-v0 already exists; .*--overwrite"):
         export_minari([second], dataset="b-v0", root=tmp_path)
     assert {row["run"] for row in rows(out)} == {"first"}
     assert load(tmp_path, "b-v0").total_episodes == 1
@@ -303,7 +303,7 @@ def test_what_is_no_dataset_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "b-v0").mkdir()
     (tmp_path / "b-v0" / "thesis.tex").touch()
 
-    with pytest.raises(UserError, match="b-v0 is there, and no dataset"):
+    with pytest.raises(UserError, match="b-v0 exists and is no dataset"):
         export_minari([tmp_path / "run"], dataset="b-v0", root=tmp_path, overwrite=True)
     assert (tmp_path / "b-v0" / "thesis.tex").exists()
 

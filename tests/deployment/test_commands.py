@@ -28,6 +28,8 @@ from tests.repository import ROOT
 from tests.served.observer import Observer
 from tests.served.served_robot import ServedRobot, eventually, free_port
 
+pytestmark = pytest.mark.real_time
+
 HOME_M = 0.05
 STILL = 5e-3
 
@@ -263,7 +265,10 @@ def test_a_name_of_bad_length_is_refused(run: Run, served: ServedRobot, name: st
 
 
 @pytest.mark.parametrize("words", [("clear-fault", "x"), ("home", "--yes"), ("doctor",)])
-def test_without_a_host_the_error_says_how_to_start_one(run: Run, words: tuple[str, ...]) -> None:
+def test_without_a_host_the_error_says_how_to_start_one(
+    run: Run, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    (tmp_path / "robot.yaml").write_text("connect_timeout_s: 0.5\n")
     outcome = run(*words, "--connect", f"tcp/127.0.0.1:{free_port()}")
     outcome.assert_one_sentence("no host of robot 'fetch' answers", "iher-robot serve")
 

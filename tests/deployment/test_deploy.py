@@ -32,7 +32,7 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.policy import Policy
 from iher_robot.rollout.actor import PolicyActor
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.interface import read_interface
 from tasks import make_task
 from tests.drivers.fake_robot import PERIOD_S, FakeRobot, fake_spec

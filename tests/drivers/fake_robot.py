@@ -1,4 +1,4 @@
-"""A robot of one line that moves as it is told, and fails when it is told."""
+"""A fake robot that follows commands exactly, with injectable faults."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ class FakeRobot(RobotDriver):
         clock: Its simulated clock, which the test may advance.
         calls: Hooks called, in order.
         failing: Hooks that raise.
-        outcomes: What the next resets answer, done when empty.
-        lost_ticks: Ticks that go by unseen in the next `advance`.
-        frozen: Whether `advance` leaves state and stamp as they are.
+        outcomes: Outcomes of the next resets, done when empty.
+        lost_ticks: Ticks that pass without a state in the next `advance`.
+        frozen: Whether `advance` leaves state and stamp unchanged.
         clip_to_m: Greatest displacement that it applies along an axis.
         camera_age_ns: Age of the object's pose at each measurement.
         waiting: Set while `advance` waits for `released`, if `slow` is set.

@@ -8,7 +8,7 @@ from drivers import Clock, MonotonicClock, SimulatedClock
 
 
 @given(st.lists(st.integers(min_value=0, max_value=10**12)))
-def test_simulated_time_is_the_sum_of_what_was_let_pass(durations_ns: list[int]) -> None:
+def test_simulated_time_is_the_sum_of_its_advances(durations_ns: list[int]) -> None:
     clock = SimulatedClock(start_ns=7)
     for duration_ns in durations_ns:
         clock.advance_ns(duration_ns)

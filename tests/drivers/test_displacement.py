@@ -1,4 +1,4 @@
-"""Displacements beyond what an action can ask for, the speed limit or the region."""
+"""Displacements beyond the action's scale, the speed limit or the region."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ SMALL = st.floats(-0.05, 0.05)
 
 
 def limit_of(keep_out: tuple[Box, ...] = ()) -> DisplacementLimit:
-    """The fake robot's, without its speed limit."""
+    """Return the limit of the fake robot without its speed limit."""
     limits = dataclasses.replace(SPEC.limits, max_ee_speed_m_s=np.inf, keep_out=keep_out)
     return DisplacementLimit(dataclasses.replace(SPEC, limits=limits))
 
 
 @given(st.lists(st.floats(-1.0, 1.0, width=32), min_size=4, max_size=4), st.booleans())
-def test_what_an_action_can_ask_for_stays_to_the_bit(parts: list[float], single: bool) -> None:
+def test_displacements_within_the_scale_are_unchanged_to_the_bit(
+    parts: list[float], single: bool
+) -> None:
     action: NDArray[np.floating] = np.array(parts, dtype=np.float32 if single else np.float64)
     delta_pos = (action[:3] * SCALE_M).astype(np.float64)  # an action of 1 is above the scale
     fingers = np.full(2, float(action[3]) * ACTION.gripper_scale_m)
@@ -40,7 +42,7 @@ def test_what_an_action_can_ask_for_stays_to_the_bit(parts: list[float], single:
 
 
 @given(st.lists(NUMBERS, min_size=3, max_size=3), st.lists(NUMBERS, min_size=2, max_size=2))
-def test_more_is_cut_to_the_scale_and_keeps_its_direction(
+def test_larger_displacements_are_cut_to_the_scale_and_keep_their_direction(
     delta: list[float], fingers: list[float]
 ) -> None:
     asked = EndEffectorCommand(7, np.array(delta), np.array(fingers))
@@ -105,7 +107,7 @@ def test_the_way_back_from_outside_is_open() -> None:
     np.testing.assert_allclose(applied.delta_pos, 0.0, atol=1e-6)
 
 
-def test_the_simulated_robot_moves_by_the_cut_command_and_says_so() -> None:
+def test_the_simulated_robot_applies_and_reports_the_cut_command() -> None:
     ends = []
     for delta, fingers in (([5.0, -2.5, 0.0], 40.0), ([0.05, -0.025, 0.0], 1.0)):
         driver = MujocoDriver("pick_and_place", FetchRobot(actuation="mocap"))

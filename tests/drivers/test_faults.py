@@ -1,4 +1,4 @@
-"""What the contract promises when hooks fail, threads meet, and people have to help."""
+"""The driver contract when hooks fail, threads race, and a human has to help."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_an_old_measurement_is_stale(robot: FakeRobot) -> None:
         robot.read()
 
 
-def test_each_sensor_has_an_age_limit_of_its_own(robot: FakeRobot) -> None:
+def test_each_sensor_has_its_own_age_limit(robot: FakeRobot) -> None:
     robot.open()
     robot.clock.advance_ns(PERIOD_NS)
     robot.advance()
@@ -143,7 +143,7 @@ def test_after_human_help_hands_are_confirmed_clear_before_anything_moves(
     assert robot.speed_scale == 0.25
     robot.outcomes = [ResetOutcome.FAILED]
     robot.reset(ResetRequest())
-    assert robot.speed_scale == 0.25, "a failed reset must not bring full speed back"
+    assert robot.speed_scale == 0.25, "a failed reset must not restore full speed"
     robot.reset(ResetRequest())
     assert robot.speed_scale == 1.0
     robot.arm()
@@ -212,7 +212,7 @@ def test_an_age_limit_that_limits_nothing_is_an_error(robot: FakeRobot, age_s: f
         robot.read(max_age_s=age_s)
 
 
-def test_a_refusal_says_what_was_too_old_and_what_is_allowed(robot: FakeRobot) -> None:
+def test_a_refusal_gives_the_age_and_the_limit(robot: FakeRobot) -> None:
     arm(robot)
     command = EndEffectorCommand(robot.read().seq, np.zeros(3), np.zeros(2))
     robot.clock.advance_ns(3 * PERIOD_NS)

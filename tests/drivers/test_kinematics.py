@@ -1,4 +1,4 @@
-"""Forward kinematics from a description."""
+"""Forward kinematics from a robot's description."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def test_guards_come_with_the_end_effector_first() -> None:
     [
         ("<worldbody>", '<include file="/etc/passwd"/><worldbody>', "has <include>, allowed"),
         ("<worldbody>", '<asset><mesh file="a.stl"/></asset><worldbody>', "has <mesh>, allowed"),
-        ("<mujoco", "<mujoko", "is no MJCF"),
-        ("</mujoco>", "", "is no MJCF"),
+        ("<mujoco", "<mujoko", "is not valid MJCF"),
+        ("</mujoco>", "", "is not valid MJCF"),
         (f'"{EE_SITE}"', '"hand"', "no site 'ee'"),
         ("robot0:elbow_flex_joint", "elbow", "has joints .*elbow.*; allowed: hinges and slides"),
     ],

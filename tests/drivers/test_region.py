@@ -1,4 +1,4 @@
-"""Where a robot may be: depths, and which way they grow."""
+"""The allowed region of a robot: depths and their gradients."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_the_body_digest_changes_with_the_body_alone(change: dict[str, object]) 
 
 
 @pytest.mark.parametrize("change", NEITHER, ids=str)
-def test_where_a_robot_stands_and_how_it_is_guarded_is_in_neither(
+def test_place_and_safeguards_of_a_robot_are_in_neither_digest(
     change: dict[str, object],
 ) -> None:
     assert changed(change).body_digest == fake_spec().body_digest
@@ -165,7 +165,7 @@ def test_json_forms_survive_a_round_trip(value: object) -> None:
     assert json.loads(json.dumps(form, allow_nan=False)) == form
 
 
-def test_what_is_not_a_number_has_no_digest() -> None:
+def test_nan_and_sets_have_no_digest() -> None:
     with pytest.raises(ValueError, match="nan"):
         digest({"gain": math.nan})
     with pytest.raises(TypeError, match="set has no JSON form"):

@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 import torch
+from scipy.stats import binomtest
 
 from drivers.canonical import digest
 from iher_robot.config.robot import choose_robot
 from iher_robot.env.goal_env import EpisodeAborted, GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import body_differences, check_fit, load_trained_policy
-from iher_robot.evaluation.evaluate import evaluate
+from iher_robot.evaluation.evaluate import evaluate, wilson_interval
 from iher_robot.evaluation.policy_file import PolicyFile, save_policy
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.goal_model import Shapes
@@ -139,3 +140,32 @@ def test_the_official_environment_has_no_network(save: Save) -> None:
 def test_the_official_environment_has_no_robot_file(save: Save) -> None:
     with pytest.raises(UserError, match=r"robot is 'fetch'.*--robot"):
         evaluate(save(), official=True, robot="fetch")
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0000, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
+def test_the_interval_of_a_rate_is_the_published_one(
+    successes: int, trials: int, low: float, high: float
+) -> None:
+    # Score method without a correction for continuity, 95 %: R. G. Newcombe, "Two-sided confidence
+    # intervals for the single proportion", Statistics in Medicine 17 (1998), table I, method 3.
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+@pytest.mark.parametrize("trials", [1, 2, 10, 100, 1000])
+def test_the_interval_of_a_rate_is_that_of_scipy(trials: int, confidence: float) -> None:
+    for successes in {0, 1, trials // 3, trials // 2, trials - 1, trials}:
+        known = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+
+        low, high = wilson_interval(successes, trials, confidence)
+
+        assert (low, high) == pytest.approx((known.low, known.high), abs=1e-12)
+        assert 0 <= low <= successes / trials <= high <= 1

@@ -21,7 +21,7 @@ from iher_robot.evaluation.policy_file import (
     load_policy,
     save_policy,
 )
-from iher_robot.storage.files.atomic import seal_zip
+from iher_robot.storage.files.checksum import add_zip_checksum
 
 
 def make_policy() -> PolicyFile:
@@ -74,7 +74,7 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     change(content)
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    path.write_bytes(seal_zip(buffer.getvalue()))
+    path.write_bytes(add_zip_checksum(buffer.getvalue()))
 
 
 def test_a_policy_comes_back_exactly(path: Path) -> None:
@@ -152,7 +152,7 @@ def test_nothing_in_a_file_is_executed(tmp_path: Path, sealed: bool, as_torch: b
         pickle.dump(Malicious(target), buffer, protocol=2)
         buffer.write(b"\0\0")
     path = tmp_path / "policy.pt"
-    path.write_bytes(seal_zip(buffer.getvalue()) if sealed else buffer.getvalue())
+    path.write_bytes(add_zip_checksum(buffer.getvalue()) if sealed else buffer.getvalue())
 
     with pytest.raises(UserError, match=r"policy\.pt is no policy file"):
         load_policy(path)

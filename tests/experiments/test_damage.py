@@ -11,7 +11,7 @@ import pytest
 from iher_robot.errors import UserError
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.report.report import report
-from iher_robot.storage.files.checksum import seal
+from iher_robot.storage.files.checksum import add_checksum
 from tests.experiments.made import commit, make_experiment, unsealed
 
 pytest.importorskip("pandas")
@@ -99,7 +99,7 @@ def test_a_table_that_is_not_text(folder: ExperimentFolder) -> None:
 def test_metadata_without_a_key(folder: ExperimentFolder, key: str) -> None:
     metadata = unsealed(folder.metadata_path)
     del metadata[key]
-    folder.metadata_path.write_text(json.dumps(seal(metadata)))
+    folder.metadata_path.write_text(json.dumps(add_checksum(metadata)))
     with pytest.raises(UserError, match=rf"experiment\.json is no .*: {key}: Field required"):
         report(folder.path)
 
@@ -111,6 +111,6 @@ def test_metadata_with_a_wrong_cell(folder: ExperimentFolder) -> None:
         ([cells[0] | {"seed": "0"}], r"cells\.0\.seed: "),
         ([cells[0], cells[0]], "names the cell reach-iher-default-seed0 twice"),
     ):
-        folder.metadata_path.write_text(json.dumps(seal(metadata | {"cells": wrong})))
+        folder.metadata_path.write_text(json.dumps(add_checksum(metadata | {"cells": wrong})))
         with pytest.raises(UserError, match=said):
             report(folder.path)

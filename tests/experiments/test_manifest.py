@@ -122,7 +122,7 @@ def expand_named(name: str) -> tuple[Cell, ...]:
 @pytest.mark.parametrize(
     ("grid", "said"),
     [
-        ({}, "it has no tasks: Tasks to learn."),
+        ({}, "tasks is missing: Tasks to learn."),
         ({"tasks": []}, "tasks is []"),
         ({"tasks": "reach"}, "tasks is 'reach', allowed: a list"),
         (GRID | {"seed": [1]}, "unknown key 'seed'"),
@@ -222,7 +222,7 @@ SEARCH = {"parameters": {"learner.ddpg.gamma": {"low": 0.9, "high": 0.99}}, "tri
 @pytest.mark.parametrize(
     ("search", "said"),
     [
-        (SEARCH, "it has no objective"),
+        (SEARCH, "objective is missing"),
         (SEARCH | {"objective": "speed"}, "objective is 'speed', allowed: one of"),
         ({"low": 1.0}, "give low and high, or choices"),
         ({"low": 1.0, "high": 1.0}, "allowed: low < high"),

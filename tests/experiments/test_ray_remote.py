@@ -11,6 +11,8 @@ from iher_robot.experiments.experiment import experiment
 from tests.experiments.small import TINY_SETTINGS, write_manifest
 from tests.served.served_robot import PATIENT, ServedRobot
 
+pytestmark = pytest.mark.real_time
+
 CELLS = ("reach-iher-default-seed0", "reach-iher-default-seed1")
 
 

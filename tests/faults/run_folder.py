@@ -16,7 +16,8 @@ from pathlib import Path
 from iher_robot.evaluation.compatibility import load_trained_policy
 from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.episode import DONE, StoredEpisode
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from tests.faults.host_log import LoggedTick
 from tests.faults.violation import Violation

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from tests.faults.system_calls import TRACED, Call, read_calls
 from tests.served.served_robot import PATIENT, ServedRobot
 

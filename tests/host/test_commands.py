@@ -1,4 +1,4 @@
-"""Which of the commands that arrive reach the robot."""
+"""Commands that reach the robot, and the reasons for which others are refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers import EndEffectorCommand, SimulatedClock
 from drivers.remote.messages import command_fields
 from drivers.wire import pack
 from iher_robot.host.commands import CommandHandler
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.persistence import RobotMemory
 from iher_robot.host.served_robot import ServedRobot
 from tests.drivers.fake_robot import FakeRobot
@@ -22,22 +22,22 @@ PERIOD_NS = 40_000_000
 
 
 class Bench:
-    """A desk with a fake robot, opened, leased and armed."""
+    """A command handler with a fake robot, open, leased and armed."""
 
     def __init__(self, folder: Path) -> None:
         self.clock = SimulatedClock(10**9)
         self.robot = ServedRobot(lambda _: FakeRobot(), "push", RobotMemory(folder), (), self.clock)
         self.robot.open()
         self.lease = HostLease("fake", 2.0, self.clock)
-        self.deadman = Deadman(0.2, self.clock)
-        self.desk = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
+        self.deadman = SilenceTimer(0.2, self.clock)
+        self.handler = CommandHandler("boot", self.robot, self.lease, self.deadman, self.clock, 2.0)
         self.token = self.lease.acquire("session", "a test")
         self.robot.driver.arm()
         self.publish()
 
     def publish(self) -> int:
         seq = self.robot.state().seq
-        self.desk.published(seq)
+        self.handler.published(seq)
         return seq
 
     def tick(self) -> int:
@@ -49,10 +49,10 @@ class Bench:
         command = EndEffectorCommand(0, np.array([0.001, 0.0, 0.0]), np.zeros(2))
         content = {"v": 1, "boot": "boot", "token": self.token, "n": self.lease.n + 1}
         seq = self.robot.state().seq
-        self.desk.take(pack(content | {"answers": seq} | command_fields(command) | changes))
+        self.handler.take(pack(content | {"answers": seq} | command_fields(command) | changes))
 
     def applied(self) -> bool:
-        """Whether what was sent is applied in the tick that ends now."""
+        """End the tick; return whether a command was applied in it."""
         seq = self.tick()
         applied = self.robot.state().applied
         return applied is not None and applied.tick == seq
@@ -63,14 +63,14 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_a_good_command_is_applied_and_answers_what_the_host_published(bench: Bench) -> None:
+def test_a_valid_command_is_applied_and_answers_the_published_state(bench: Bench) -> None:
     seq = bench.robot.state().seq
     bench.send()
     assert bench.applied()
     state = bench.robot.state()
     assert state.applied is not None
     assert state.applied.command.answers == seq
-    assert bench.desk.refusals == {}
+    assert bench.handler.refusals == {}
 
 
 @pytest.mark.parametrize(
@@ -90,14 +90,14 @@ def test_a_good_command_is_applied_and_answers_what_the_host_published(bench: Be
         ({"delta_pos": np.array([np.nan, 0.0, 0.0])}, "invalid"),
     ],
 )
-def test_what_is_wrong_is_refused_counted_and_not_applied(
+def test_an_invalid_command_is_refused_counted_and_not_applied(
     bench: Bench, changes: dict[str, object], reason: str
 ) -> None:
     bench.send(**changes)
-    assert bench.desk.refusals == {reason: 1}
+    assert bench.handler.refusals == {reason: 1}
     assert not bench.applied()
     bench.send()
-    assert bench.applied(), "a wrong command is nobody else's harm"
+    assert bench.applied(), "an invalid command does not affect a later valid one"
 
 
 def test_a_command_is_applied_once(bench: Bench) -> None:
@@ -106,7 +106,7 @@ def test_a_command_is_applied_once(bench: Bench) -> None:
     bench.send(n=5)
     bench.send(n=4)
     assert not bench.applied()
-    assert bench.desk.refusals == {"repeated": 2}
+    assert bench.handler.refusals == {"repeated": 2}
 
 
 def test_a_command_expires_two_ticks_after_the_state_that_it_answers(bench: Bench) -> None:
@@ -120,16 +120,16 @@ def test_a_command_expires_two_ticks_after_the_state_that_it_answers(bench: Benc
     bench.tick()
     bench.clock.advance_ns(1)
     bench.send(answers=seq)
-    assert bench.desk.refusals == {"expired": 1}
+    assert bench.handler.refusals == {"expired": 1}
     assert not bench.applied()
 
 
-def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
+def test_a_hold_moves_nothing_and_restarts_the_deadman(bench: Bench) -> None:
     bench.clock.advance_ns(150_000_000)
     content = {"v": 1, "kind": "hold", "boot": "boot", "token": bench.token, "n": 1, "answers": 0}
-    bench.desk.take(pack(content))
+    bench.handler.take(pack(content))
     bench.clock.advance_ns(150_000_000)
-    assert not bench.deadman.tripped
+    assert not bench.deadman.expired
     assert not bench.applied()
     assert bench.lease.n == 1
 
@@ -153,14 +153,14 @@ def test_a_hold_moves_nothing_and_keeps_the_deadman_quiet(bench: Bench) -> None:
         ),
     )
 )
-def test_nothing_that_is_no_command_gets_through_or_raises(bench: Bench, data: object) -> None:
+def test_random_messages_are_refused_and_never_raise(bench: Bench, data: object) -> None:
     import msgpack  # type: ignore[import-untyped]
 
     try:
         body = data if isinstance(data, bytes) else msgpack.packb(data)
     except (OverflowError, ValueError):
         return
-    before = sum(bench.desk.refusals.values())
-    bench.desk.take(body)
-    assert sum(bench.desk.refusals.values()) == before + 1
+    before = sum(bench.handler.refusals.values())
+    bench.handler.take(body)
+    assert sum(bench.handler.refusals.values()) == before + 1
     assert not bench.applied()

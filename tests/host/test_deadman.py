@@ -1,4 +1,4 @@
-"""A client that dies, freezes, vanishes or falls silent while the robot moves."""
+"""The deadman: a client is killed, freezes, disconnects or falls silent while the robot moves."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_the_joints_stop_within_the_watchdogs_time(served: ServedRobot, how: str
     assert drift < 0.02, f"the joints went on by {drift} rad"
 
 
-def test_a_client_that_thaws_finds_itself_disarmed(served: ServedRobot) -> None:
+def test_a_client_that_resumes_after_a_freeze_is_disarmed(served: ServedRobot) -> None:
     mover = _mover(served, "never")
     try:
         with Observer(served.endpoint) as observer:

@@ -1,4 +1,4 @@
-"""What a host's control loop does with more than it can deal with."""
+"""The control loop of a host under more messages than it can handle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from iher_robot.host.control_loop import ControlLoop
-from iher_robot.host.network.channels import Note
+from iher_robot.host.network.channels import ChannelMessage
 from iher_robot.host.persistence import RobotTotal
 from tests.host.test_timing import Bench
 
@@ -21,11 +21,11 @@ def loop(tmp_path: Path) -> ControlLoop:
         return Bench(tmp_path, total).loop
 
 
-def test_a_tick_ends_whatever_waits(loop: ControlLoop) -> None:
+def test_a_tick_ends_during_a_flood_of_messages(loop: ControlLoop) -> None:
     for _ in range(FLOOD):
-        loop._inbox.put(Note("command", body=b"no command"))
-    loop._take_until(0)
-    dealt_with = loop._desk.refusals["malformed"]
-    assert 0 < dealt_with <= FEW, "what waits at the end of a tick does not put it off"
-    loop._take_until(0)
-    assert loop._desk.refusals["malformed"] == 2 * dealt_with, "and is dealt with later"
+        loop._inbox.put(ChannelMessage("command", body=b"no command"))
+    loop._handle_until(0)
+    handled = loop._commands.refusals["malformed"]
+    assert 0 < handled <= FEW, "messages that wait at the end of a tick do not delay it"
+    loop._handle_until(0)
+    assert loop._commands.refusals["malformed"] == 2 * handled, "the others are handled later"

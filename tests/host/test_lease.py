@@ -1,11 +1,11 @@
-"""Who may command a robot, and who has fallen silent."""
+"""The lease of a robot, and the silence timer."""
 
 from __future__ import annotations
 
 import pytest
 
 from drivers import LeaseRefused, SimulatedClock
-from iher_robot.host.lease import Deadman, HostLease
+from iher_robot.host.lease import HostLease, SilenceTimer
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def lease(clock: SimulatedClock) -> HostLease:
     return HostLease("fetch", 2.0, clock)
 
 
-def test_a_second_client_is_refused_and_told_who_has_it(lease: HostLease) -> None:
+def test_a_second_client_is_refused_with_the_name_of_the_first(lease: HostLease) -> None:
     lease.acquire("a", "ann@lab")
     with pytest.raises(LeaseRefused, match="ann@lab"):
         lease.acquire("b", "ben@lab")
@@ -26,15 +26,15 @@ def test_a_second_client_is_refused_and_told_who_has_it(lease: HostLease) -> Non
     lease.acquire("b", "ben@lab")
 
 
-def test_a_silent_client_loses_it_after_its_time_and_not_before(
+def test_a_silent_client_loses_the_lease_after_its_time_and_not_before(
     lease: HostLease, clock: SimulatedClock
 ) -> None:
     token = lease.acquire("a", "ann")
     clock.advance_ns(2 * 10**9)
-    assert not lease.expire(), "exactly its time is not past it"
+    assert not lease.expire(), "exactly its time is not beyond it"
     lease.require(token)
     clock.advance_ns(2 * 10**9)
-    assert not lease.expire(), "whoever was heard of begins anew"
+    assert not lease.expire(), "a request of the client renews its lease"
     clock.advance_ns(1)
     assert lease.expire()
     with pytest.raises(LeaseRefused, match="has ended"):
@@ -54,16 +54,16 @@ def test_an_old_token_is_refused_also_from_the_client_that_has_the_new_one(
     lease.require(new)
 
 
-def test_no_lease_is_not_a_lease_with_the_token_0(lease: HostLease) -> None:
+def test_token_0_is_no_lease(lease: HostLease) -> None:
     with pytest.raises(LeaseRefused):
         lease.require(0)
 
 
-def test_the_deadman_trips_past_its_limit(clock: SimulatedClock) -> None:
-    deadman = Deadman(0.2, clock)
+def test_a_silence_timer_expires_beyond_its_limit(clock: SimulatedClock) -> None:
+    deadman = SilenceTimer(0.2, clock)
     clock.advance_ns(200_000_000)
-    assert not deadman.tripped
+    assert not deadman.expired
     clock.advance_ns(1)
-    assert deadman.tripped
-    deadman.heard()
-    assert not deadman.tripped
+    assert deadman.expired
+    deadman.restart()
+    assert not deadman.expired

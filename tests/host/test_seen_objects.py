@@ -1,4 +1,4 @@
-"""Which poses of objects a host takes from another publisher."""
+"""Object poses that a host takes from another publisher."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def test_a_pose_that_is_not_finite_is_refused_and_the_last_one_stays(
     memory = RobotMemory(tmp_path)
     robot = ServedRobot(lambda _: FakeRobot(), "push", memory, ("object0",), clock)
     robot.open()
-    robot.see("object0", pose(1))
+    robot.take_pose("object0", pose(1))
     broken = getattr(pose(2), field).copy()
     broken[-1] = np.nan
     with pytest.raises(InvalidRequest, match=field):
-        robot.see("object0", pose(2, **{field: broken}))
+        robot.take_pose("object0", pose(2, **{field: broken}))
     assert np.array_equal(robot.state().objects["object0"].pos, pose(1).pos)
     robot.close()

@@ -1,4 +1,4 @@
-"""A stop, a pose and a human's help while the scene of a served robot changes."""
+"""A served robot: a stop while the scene changes, poses, and human help over a restart."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path:
     robot = ServedRobot(lambda _: drivers.pop(0), "push", memory, (), SimulatedClock())
     robot._specs["slide"] = robot.spec
     robot.open()
-    changing = threading.Thread(target=robot.use, args=("slide",))
+    changing = threading.Thread(target=robot.change_scene, args=("slide",))
     changing.start()
     assert first.closing.wait(10.0)
     stopping = threading.Thread(target=robot.stop, args=("someone walked in", "emergency_stop"))
@@ -53,7 +53,7 @@ def test_a_stop_while_the_scene_changes_stops_the_robot_of_the_new_one(tmp_path:
     assert RobotMemory(tmp_path).fault is not None, "and it outlives the host"
 
 
-def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) -> None:
+def test_a_pose_of_an_object_that_is_not_in_the_scene_is_refused(tmp_path: Path) -> None:
     robot = ServedRobot(
         lambda _: FakeRobot(), "push", RobotMemory(tmp_path), ("object0",), SimulatedClock()
     )
@@ -67,12 +67,14 @@ def test_a_pose_of_an_object_that_this_scene_has_not_is_refused(tmp_path: Path) 
         linvel=np.zeros(3),
         angvel=np.zeros(3),
     )
-    with pytest.raises(InvalidRequest, match="not asked for"):
-        robot.see("object0", pose)
+    with pytest.raises(
+        InvalidRequest, match="'object0', which is not one of perception, allowed: none"
+    ):
+        robot.take_pose("object0", pose)
 
 
 class Helpless(FakeRobot):
-    """Needs a hand at every reset until it was given one."""
+    """Needs a human at every reset at full speed."""
 
     def _reset(self, request: ResetRequest) -> ResetResult:
         if self.speed_scale == 1.0:
@@ -80,7 +82,7 @@ class Helpless(FakeRobot):
         return super()._reset(request)
 
 
-def test_a_restart_of_the_host_does_not_forget_that_a_person_is_in_reach(tmp_path: Path) -> None:
+def test_a_restart_of_the_host_keeps_that_a_human_was_needed(tmp_path: Path) -> None:
     for attempt in range(2):
         robot = ServedRobot(
             lambda _: Helpless(), "push", RobotMemory(tmp_path), (), SimulatedClock()
@@ -96,4 +98,4 @@ def test_a_restart_of_the_host_does_not_forget_that_a_person_is_in_reach(tmp_pat
             robot.driver.confirm_hands_clear()
             assert robot.reset(ResetRequest()).outcome is ResetOutcome.DONE
         robot.close()
-    assert not RobotMemory(tmp_path).human
+    assert not RobotMemory(tmp_path).human_needed

@@ -1,4 +1,4 @@
-"""What the watchdog does when the process that drives the robot is frozen or gone."""
+"""The watchdog, when the robot process is frozen or gone."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class _Holder:
     def __call__(self) -> None:
         self.calls += 1
         if self.fails:
-            raise OSError("the second socket is gone, too")
+            raise OSError("the second socket is also gone")
 
 
 def _host(folder: Path, holder: _Holder, robot: _Process) -> Any:
@@ -49,7 +49,7 @@ def _host(folder: Path, holder: _Holder, robot: _Process) -> Any:
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_a_frozen_loop_is_killed_held_and_latched_whatever_the_holder_does(
+def test_a_frozen_loop_is_killed_held_and_latched_even_if_the_holder_fails(
     tmp_path: Path, fails: bool
 ) -> None:
     holder, robot = _Holder(fails), _Process(alive=True)
@@ -67,6 +67,6 @@ def test_a_frozen_loop_is_killed_held_and_latched_whatever_the_holder_does(
 def test_a_robot_whose_process_died_is_held_from_outside(tmp_path: Path) -> None:
     holder = _Holder(fails=False)
     host = _host(tmp_path, holder, _Process(alive=False))
-    with pytest.raises(HostFailed, match="ended by itself with exit code -9"):
+    with pytest.raises(HostFailed, match="the robot process of 'fetch' ended with exit code -9"):
         host.watch()
     assert holder.calls == 1

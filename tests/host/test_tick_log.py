@@ -1,4 +1,4 @@
-"""The host's black box: a line for each tick, and nothing that happens to it reaches the robot."""
+"""The tick log of a host: a line for each tick, and no effect of a bad disk on the robot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.served.served_robot import eventually
 
 
 class Bench:
-    """A control loop on its own, with a tick log."""
+    """A control loop without a gateway, with a tick log."""
 
     def __init__(self, folder: Path, log: TickLog, total: RobotTotal) -> None:
         clock = SimulatedClock(10**9)
@@ -42,16 +42,16 @@ class Bench:
         channel = Channel(self.ends[1])
         self.loop = ControlLoop(settings, served, total, memory, channel, heartbeat, clock, log)
         served.open()
-        self.loop._next_ns = clock.now_ns()
+        self.loop._schedule.start()
 
     def command(self) -> None:
-        """Take a command, as if a client had sent it."""
+        """Command the robot, as a client would."""
         answered = self.robot.measure().seq
         self.robot.command(EndEffectorCommand(answered, np.full(3, 0.01), np.zeros(2)))
 
     def arm(self) -> None:
         self.loop._lease.acquire("session", "a test")
-        self.loop._deadman.heard()
+        self.loop._deadman.restart()
         self.robot.arm()
 
 
@@ -68,7 +68,7 @@ def _lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-def test_a_line_says_what_was_in_force_in_that_very_tick(bench: Bench, tmp_path: Path) -> None:
+def test_a_line_has_the_command_applied_in_its_tick(bench: Bench, tmp_path: Path) -> None:
     bench.loop.tick()
     bench.arm()
     bench.loop.tick()
@@ -84,7 +84,7 @@ def test_a_line_says_what_was_in_force_in_that_very_tick(bench: Bench, tmp_path:
     assert [line["applied"] is not None for line in lines] == [False, False, True, False, False]
     applied = lines[2]["applied"]
     assert applied["kind"] == "ee_delta"
-    assert applied["answers"] == lines[1]["seq"], "counted as the host counts"
+    assert applied["answers"] == lines[1]["seq"], "in the host's tick counter"
     assert answered != lines[1]["seq"]
     assert [line["token"] for line in lines] == [0, 1, 1, 1, 1]
     assert [line["fault"] for line in lines] == [None] * 4 + ["emergency_stop"]
@@ -94,17 +94,17 @@ def test_a_line_says_what_was_in_force_in_that_very_tick(bench: Bench, tmp_path:
     assert all(line["utc"].endswith("+00:00") for line in lines)
 
 
-def test_no_armed_tick_is_missing_from_the_robots_own_account(bench: Bench, tmp_path: Path) -> None:
+def test_every_armed_tick_is_in_the_robots_account(bench: Bench, tmp_path: Path) -> None:
     bench.arm()
     for _ in range(7):
-        bench.loop._deadman.heard()
+        bench.loop._deadman.restart()
         bench.loop.tick()
     bench.log.close()
     assert sum(line["armed"] for line in _lines(tmp_path / "ticks.jsonl")) == 7
     assert bench.total.spent()["motion"] == 7
 
 
-def test_a_full_disk_is_counted_told_once_and_stops_no_tick(
+def test_a_full_disk_is_counted_logged_once_and_delays_no_tick(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with TickLog(Path("/dev/full")) as log, RobotTotal(tmp_path, "fake") as total:
@@ -133,10 +133,8 @@ class _Stuck:
     def close(self) -> None: ...
 
 
-def test_a_disk_that_does_not_answer_keeps_no_tick_waiting(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("iher_robot.host.tick_log._WAITING_LINES", 3)
+def test_a_blocked_disk_delays_no_tick(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("iher_robot.host.tick_log._MAX_WAITING_LINES", 3)
     disk: Any = _Stuck()
     bench.log._file = disk
     for _ in range(10):
@@ -164,7 +162,7 @@ class _Cutting:
         self.file.close()
 
 
-def test_a_line_that_was_cut_off_spoils_no_other(bench: Bench, tmp_path: Path) -> None:
+def test_a_line_that_was_cut_off_damages_no_other(bench: Bench, tmp_path: Path) -> None:
     disk: Any = _Cutting(bench.log._file)
     bench.log._file = disk
     for _ in range(3):
@@ -181,7 +179,7 @@ def test_a_line_that_was_cut_off_spoils_no_other(bench: Bench, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("left", "lines"), [("{}\n", 2), ('{"boot": "4', 2), ("", 1)])
-def test_a_log_goes_on_at_its_end(tmp_path: Path, left: str, lines: int) -> None:
+def test_a_log_is_appended_to(tmp_path: Path, left: str, lines: int) -> None:
     path = tmp_path / "ticks.jsonl"
     path.write_text(left)
     with TickLog(path) as log, RobotTotal(tmp_path, "fake") as total:

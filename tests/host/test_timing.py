@@ -1,4 +1,4 @@
-"""Which ticks of a host's control loop count as late."""
+"""Ticks of a host's control loop that count as late."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.remote.messages import Empty, LeaseRequest, Reply, ResetMessage
 from drivers.wire import Message, pack, unpack
 from iher_robot.host.control_loop import ControlLoop
 from iher_robot.host.heartbeat import Heartbeat
-from iher_robot.host.network.channels import Channel, Note, channel_ends
+from iher_robot.host.network.channels import Channel, ChannelMessage, channel_ends
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.host.served_robot import ServedRobot
 from iher_robot.host.settings import HostSettings
@@ -21,7 +21,7 @@ from tests.drivers.fake_robot import PERIOD_NS, FakeRobot
 
 
 class Robot(FakeRobot):
-    """Takes its time, on the host's clock."""
+    """A robot whose ticks and resets take time on the host's clock."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         super().__init__(clock=clock)
@@ -38,7 +38,7 @@ class Robot(FakeRobot):
 
 
 class Bench:
-    """A control loop on its own, asked as if by a gateway."""
+    """A control loop without a gateway, which gets requests directly."""
 
     def __init__(self, folder: Path, total: RobotTotal) -> None:
         self.clock = SimulatedClock(10**9)
@@ -52,12 +52,12 @@ class Bench:
         heartbeat.beat()
         self.loop = ControlLoop(settings, served, total, memory, channel, heartbeat, self.clock)
         served.open()
-        self.loop._next_ns = self.clock.now_ns()
+        self.loop._schedule.start()
         self.loop._publish()
 
     def ask(self, name: str, message: Message) -> Reply:
-        """Ask, and let a tick pass in which it is answered."""
-        self.loop._inbox.put(Note("request", 1, name, pack(message)))
+        """Send a request, and run the tick in which it is answered."""
+        self.loop._inbox.put(ChannelMessage("request", 1, name, pack(message)))
         self.loop.tick()
         while True:
             note = self._gateway.receive()

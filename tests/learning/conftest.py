@@ -1,4 +1,4 @@
-"""The networks here are too small for threads to help."""
+"""One thread: the networks here are too small for more to help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A task small enough to reason about: a point on a plane that moves by its action.
+"""A minimal task: a point in a plane that moves by its action.
 
 The observation is (position, velocity, position relative to a fixed mark), the last being
 derived; the next position is the position plus 0.05 times the action.
@@ -51,7 +51,7 @@ class PointMassGoals:
         return observation[..., :2]
 
     def object_position(self, observation: Any, /) -> Any:
-        """The mark, as the derived entry has it."""
+        """Position of the mark, from the derived entries."""
         return observation[..., :2] - observation[..., 4:6]
 
     def sample_goal(self, rng: np.random.Generator, start: Any, /) -> Any:

@@ -1,4 +1,4 @@
-"""The defaults are the paper's values for Push; what cannot work is refused."""
+"""Settings: defaults are the paper's values for Push; invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_defaults_are_the_papers(key: str) -> None:
     assert value == PAPER[key]
 
 
-def test_every_ingredient_is_on_by_default() -> None:
+def test_every_part_of_the_method_is_on_by_default() -> None:
     config = LearnerConfig()
     assert config.imagination.enabled
     assert config.imagination.regenerate
@@ -49,7 +49,7 @@ def test_every_ingredient_is_on_by_default() -> None:
     assert config.ddpg.source_input
 
 
-def test_a_bias_that_would_weigh_every_transition_with_zero_is_refused() -> None:
+def test_a_bias_that_gives_every_transition_weight_zero_is_refused() -> None:
     assert DynamicsConfig(recency_bias=1.0).recency_bias == 1.0
     with pytest.raises(ValidationError, match="weight 0"):
         DynamicsConfig(recency_bias=1.0, recency_weights="printed")

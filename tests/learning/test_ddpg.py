@@ -1,4 +1,4 @@
-"""DDPG: targets, target networks, and what each loss may touch."""
+"""DDPG: targets, target networks, and the networks that each loss trains."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torch import nn
 
 from iher_robot.learning.ddpg import DDPG, target_bounds
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
+from tests.learning.fakes import ACTION, CPU, OBS, generator
 from tests.learning.point_mass import SHAPES, small_config
-from tests.learning.stand_ins import ACTION, CPU, OBS, generator
 
 Settings = dict[str, Any]
 
@@ -48,13 +48,18 @@ def heads(critics: nn.Module) -> list[nn.Linear]:
 
 
 def with_target_values(learner: DDPG, values: Sequence[Sequence[float]]) -> DDPG:
-    """Make each target critic say the same value everywhere. ``(components, members)``"""
+    """Give each target critic a constant value. ``(components, members)``"""
     flat = [value for members in values for value in members]
     with torch.no_grad():
-        for head, value in zip(heads(learner._target_critics), flat, strict=True):
+        for head, value in zip(heads(learner._networks.target_critics), flat, strict=True):
             head.weight.zero_()
             head.bias.fill_(value)
     return learner
+
+
+def targets_of(learner: DDPG, data: Transitions) -> tuple[torch.Tensor, torch.Tensor]:
+    """Targets of a batch, and whether each was clipped. ``(components, batch)`` each"""
+    return learner._targets(learner._minibatches(data, 1), 0)
 
 
 def weights(learner: DDPG, name: str) -> torch.Tensor:
@@ -74,14 +79,14 @@ def change(learner: DDPG, name: str, data: Transitions, updates: int = 1) -> flo
     [("her", (-10.0, 0.0)), ("intrinsic", (-10.0, 6.0)), ("off", (-float("inf"), float("inf")))],
 )
 @pytest.mark.parametrize("value", [-30.0, -9.5, 0.0, 0.4, 6.0, 30.0])
-def test_targets_are_rewards_and_discounted_value_clipped_to_what_can_be(
+def test_targets_are_reward_plus_discounted_value_clipped_to_possible_returns(
     clip_target: str, bounds: tuple[float, float], value: float
 ) -> None:
     learner = ddpg(gamma=0.9, clip_target=clip_target, intrinsic_clip=0.6)
     assert target_bounds(learner.config) == [pytest.approx(bounds)]
     data = batch()
     raw = data.extrinsic + data.intrinsic + 0.9 * value  # rewards of 0 bootstrap as well
-    targets, clipped = with_target_values(learner, [[value]]).targets(data)
+    targets, clipped = targets_of(with_target_values(learner, [[value]]), data)
     torch.testing.assert_close(targets, raw.clamp(*bounds)[None])
     outside = (raw < bounds[0]) | (raw > bounds[1])
     assert torch.equal(clipped, outside[None])
@@ -89,24 +94,24 @@ def test_targets_are_rewards_and_discounted_value_clipped_to_what_can_be(
     assert float(reported) == pytest.approx(float(outside.float().mean()))
 
 
-def test_targets_look_at_the_next_observation_with_the_target_networks() -> None:
+def test_targets_depend_on_the_next_observation_and_the_target_networks_only() -> None:
     learner, data = ddpg(clip_target="off"), batch()
-    before, _ = learner.targets(data)
+    before, _ = targets_of(learner, data)
     for field in ("observation", "action"):
         changed = replace(data, **{field: torch.zeros_like(getattr(data, field))})
-        assert torch.equal(learner.targets(changed)[0], before), field
+        assert torch.equal(targets_of(learner, changed)[0], before), field
     for field in ("next_observation", "goal", "extrinsic", "intrinsic"):
         changed = replace(data, **{field: getattr(data, field) + 1})
-        assert not torch.allclose(learner.targets(changed)[0], before), field
+        assert not torch.allclose(targets_of(learner, changed)[0], before), field
     flipped = replace(data, source=1 - data.source)
-    assert not torch.allclose(learner.targets(flipped)[0], before)
+    assert not torch.allclose(targets_of(learner, flipped)[0], before)
     for _ in range(3):
         learner.update(data)  # moves the online networks only
-    assert torch.equal(learner.targets(data)[0], before)
+    assert torch.equal(targets_of(learner, data)[0], before)
 
 
 @pytest.mark.parametrize("tau", [0.05, 0.5, 1.0])
-def test_target_networks_move_by_exactly_tau_and_only_when_told(tau: float) -> None:
+def test_target_networks_move_by_exactly_tau_and_only_when_updated(tau: float) -> None:
     learner, data = ddpg(tau=tau), batch()
     old = {name: weights(learner, f"target_{name}") for name in ("actor", "critics")}
     for _ in range(5):
@@ -169,29 +174,29 @@ def test_updates_lower_the_critics_loss_on_a_fixed_batch() -> None:
     features = learner.policy.features(data.observation, data.goal, data.source)
     value = learner.critics(features, data.action)
     assert value.shape == (1, 1, len(data.source))
-    expected = (value[:, 0] - learner.targets(data)[0]).square().mean().detach()
+    expected = (value[:, 0] - targets_of(learner, data)[0]).square().mean().detach()
     assert float(learner.update(data)["critic_loss"]) == pytest.approx(float(expected), rel=1e-5)
 
 
-def test_the_critic_hears_the_source_only_where_it_is_an_input() -> None:
+def test_the_critics_depend_on_the_source_only_if_it_is_an_input() -> None:
     data = batch()
     flipped = replace(data, source=1 - data.source)
-    for told in (True, False):
-        learner = ddpg(source_input=told, clip_target="off")
-        same = torch.equal(learner.targets(data)[0], learner.targets(flipped)[0])
-        assert same is not told
+    for is_input in (True, False):
+        learner = ddpg(source_input=is_input, clip_target="off")
+        same = torch.equal(targets_of(learner, data)[0], targets_of(learner, flipped)[0])
+        assert same is not is_input
 
 
 MANY = {"critics": 3, "target_subset": 2}
 
 
 @pytest.mark.parametrize("subset", [1, 2, 3])
-def test_targets_bootstrap_from_the_least_of_the_critics_that_are_drawn(subset: int) -> None:
+def test_targets_bootstrap_from_the_minimum_of_the_drawn_critics(subset: int) -> None:
     learner = ddpg(gamma=0.5, clip_target="off", critics=3, target_subset=subset)
     values, data = [-3.0, 1.0, -7.0], batch()
     with_target_values(learner, [values])
     reward = data.extrinsic + data.intrinsic
-    least = torch.stack([2.0 * (learner.targets(data)[0][0] - reward) for _ in range(300)])
+    least = torch.stack([2.0 * (targets_of(learner, data)[0][0] - reward) for _ in range(300)])
     assert (least.std(dim=1) < 1e-5).all()  # one subset a batch
     counts = Counter(round(value, 3) for value in least[:, 0].tolist())
     subsets = [min(each) for each in itertools.combinations(values, subset)]
@@ -205,7 +210,7 @@ def test_every_critic_is_trained_towards_the_same_targets() -> None:
     for _ in range(300):
         learner.update(data)
     with_target_values(learner, [[-2.0] * 3])  # so that every subset has the same least
-    targets, _ = learner.targets(data)
+    targets, _ = targets_of(learner, data)
     features = learner.policy.features(data.observation, data.goal, data.source)
     before = (learner.critics(features, data.action) - targets).square().mean(-1)
     for _ in range(100):
@@ -243,13 +248,13 @@ def test_the_actor_climbs_the_mean_of_its_critics_summed_over_components() -> No
     ],
 )
 @pytest.mark.parametrize("values", [(-9.5, 6.5), (0.5, -1.0), (-30.0, 2.0)])
-def test_each_component_has_targets_of_its_own_reward_and_bounds(
+def test_each_component_has_targets_from_its_reward_and_bounds(
     clip_target: str, bounds: list[tuple[float, float]], values: tuple[float, float]
 ) -> None:
     settings: Settings = {"gamma": 0.9, "clip_target": clip_target, "intrinsic_clip": 0.6}
     learner = ddpg(component_critics=True, **settings)
     data = batch()
-    targets, clipped = with_target_values(learner, [[value] for value in values]).targets(data)
+    targets, clipped = targets_of(with_target_values(learner, [[value] for value in values]), data)
     assert targets.shape == clipped.shape == (2, len(data.source))
     for index, reward in enumerate((data.extrinsic, data.intrinsic)):
         low, high = target_bounds(learner.config)[index]
@@ -285,7 +290,7 @@ def test_targets_move_at_each_update_or_at_the_end_of_a_cycle() -> None:
                 assert not torch.equal(weights(learner, f"target_{name}"), before)
 
 
-def test_a_running_mean_of_the_actors_weights_acts_where_it_is_asked_for() -> None:
+def test_the_running_mean_of_the_actors_weights_acts_if_enabled() -> None:
     data, mean = batch(), ddpg(policy_average=0.25)
     expected = weights(mean, "actor")
     assert torch.equal(acting(mean), expected)
@@ -317,14 +322,14 @@ def acting(learner: DDPG) -> torch.Tensor:
     ],
     ids=["paper", "ensemble"],
 )
-def test_a_restored_learner_goes_on_as_the_original_does(settings: Settings) -> None:
+def test_a_restored_ddpg_continues_like_the_original(settings: Settings) -> None:
     original, data = ddpg(seed=0, **settings), batch()
     for _ in range(3):
         original.update(data)
         original.update_targets()
     state, snapshot = original.state_dict(), original.policy.snapshot()
     copies = ddpg(seed=1, **settings), ddpg(seed=2, **settings)
-    for learner in (original, *copies):  # in turn: none may write to the state of the others
+    for learner in (original, *copies):  # in turn: none may write to the shared state
         if learner is not original:
             learner.load_state_dict(state)
             learner.policy.load_snapshot(snapshot)

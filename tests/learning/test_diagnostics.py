@@ -1,4 +1,4 @@
-"""Diagnostics of models that are known to be perfect, or to know nothing."""
+"""Diagnostics of models that are perfect or predict no change."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from iher_robot.learning.diagnostics import HORIZONS, diagnose, imagined_success
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.learner import Learner
-from tests.learning.point_mass import SHAPES, PointMassGoals, rollout
-from tests.learning.stand_ins import (
+from tests.learning.fakes import (
     CPU,
     drifting_ensemble,
     generator,
@@ -23,6 +22,7 @@ from tests.learning.stand_ins import (
     perfect_ensemble,
     quiet_config,
 )
+from tests.learning.point_mass import SHAPES, PointMassGoals, rollout
 
 GOALS = PointMassGoals()
 
@@ -48,7 +48,7 @@ def displacement(real: list[Episode], horizon: int) -> float:
 
 
 @pytest.mark.parametrize("horizon", [1, 5, SHAPES.episode_ticks])
-def test_a_perfect_model_has_no_error_and_still_is_the_displacement(horizon: int) -> None:
+def test_a_perfect_model_has_no_error_and_no_change_errs_by_the_displacement(horizon: int) -> None:
     real = episodes()
     model, still = error(perfect_ensemble(), real, horizon)
     assert model == pytest.approx(0, abs=1e-5)
@@ -75,10 +75,10 @@ def test_a_window_never_spans_an_invalid_tick() -> None:
     assert still < 1
 
 
-def test_windows_may_be_those_that_move_the_achieved_goal() -> None:
+def test_windows_can_be_limited_to_those_that_move_the_achieved_goal() -> None:
     real = episodes()
     for episode in real:
-        episode.observations[6:, :2] = episode.observations[5, :2]  # nothing moves after tick 5
+        episode.observations[6:, :2] = episode.observations[5, :2]  # no motion after tick 5
     distances = [
         float(np.linalg.norm(e.observations[t + 1, :2] - e.observations[t, :2]))
         for e in real
@@ -104,7 +104,7 @@ def test_windows_may_be_those_that_move_the_achieved_goal() -> None:
     assert all(map(math.isnan, none))
 
 
-def test_without_an_episode_that_long_there_is_no_number() -> None:
+def test_the_error_is_nan_without_an_episode_of_that_length() -> None:
     assert all(map(math.isnan, error(perfect_ensemble(), episodes(), SHAPES.episode_ticks + 1)))
 
 
@@ -132,8 +132,8 @@ def test_imagined_success_is_the_real_one_if_the_model_is_perfect(
     assert imagined_success(dreamer, real, generator=generator()) == pytest.approx(np.mean(met))
 
 
-def test_the_policy_is_told_that_it_imagines() -> None:
-    # Reaches the goal unless it is told that the world is real.
+def test_the_policy_acts_with_the_imagined_source() -> None:
+    # Reaches the goal unless its source input is the real one.
     dreamer = learner(perfect_ensemble(), source_input=True, goal_gain=5.0, real_bias=50.0)
     assert imagined_success(dreamer, episodes(50), generator=generator()) == 1.0
 
@@ -143,7 +143,7 @@ def test_a_rollout_that_diverges_is_a_failure() -> None:
     assert imagined_success(dreamer, episodes(5), generator=generator()) == 0.0
 
 
-def test_a_diagnosis_names_every_horizon_and_draws_nothing_from_the_learner() -> None:
+def test_a_diagnosis_has_every_horizon_and_draws_nothing_from_the_learner() -> None:
     dreamer = learner(perfect_ensemble(), source_input=False, goal_gain=5.0)
     before = dreamer.generator.get_state()
     real = episodes(30, goal_gain=5.0)
@@ -163,6 +163,6 @@ def test_a_diagnosis_names_every_horizon_and_draws_nothing_from_the_learner() ->
     assert diagnose(dreamer, []) == {}
 
 
-def test_without_imagination_there_is_nothing_to_diagnose() -> None:
+def test_without_imagination_a_diagnosis_is_empty() -> None:
     config = quiet_config(imagination={"enabled": False})
     assert diagnose(Learner(SHAPES, GOALS, config, seed=0, device=CPU), episodes(2)) == {}

@@ -1,4 +1,4 @@
-"""Episodes: what a hole in them means."""
+"""Episodes: splitting at invalid ticks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.learning.stand_ins import marked_episode
+from tests.learning.fakes import marked_episode
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=12))

@@ -1,4 +1,4 @@
-"""One epoch of Algorithm 1: what is trained how often, and what each switch turns off."""
+"""One epoch of Algorithm 1: order and number of its steps, and effect of each switch."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import torch
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import EpisodeReplay, Transitions
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
+from tests.learning.fakes import FarAwaySymmetry, deviation, generator, same, stored
 from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.quick_learner import HER, after, new, quick, real, rows
-from tests.learning.stand_ins import FarAwaySymmetry, deviation, generator, same, stored
+from tests.learning.small_learner import HER, after, new, quick, real, rows
 
 TICKS = SHAPES.episode_ticks
 
@@ -31,14 +32,14 @@ def test_the_dynamics_are_trained_longest_in_the_first_epoch_on_batches_of_all_w
     workers: int, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = set()
-    draw = EpisodeReplay.draw
+    draw = EpisodeReplay.sample_indices
 
     def spy(self: EpisodeReplay, count: int, *args: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        if args[1:]:  # weighted draws are those of the dynamics
+        if args[1:]:  # only the dynamics use epoch weights
             sizes.add((self.source, count))
         return draw(self, count, *args)
 
-    monkeypatch.setattr(EpisodeReplay, "draw", spy)
+    monkeypatch.setattr(EpisodeReplay, "sample_indices", spy)
     learner = new(quick(schedule={"workers": workers, "first_epoch_dynamics_factor": 5}))
     taken = []
     for epoch in (1, 2, 3):
@@ -102,7 +103,7 @@ def test_every_cached_intrinsic_reward_equals_a_fresh_one(regenerate: bool, redu
         intrinsic={"reduce": reduce, "scale": 20.0 if reduce == "mean" else 3.0},
     )
     learner = after(3, config)
-    for replay in (learner.real, learner.imagined.replay):
+    for replay in (learner.real.replay, learner.imagined.replay):
         batch = replay.sample(8000, generator(), PointMassGoals(), future_fraction=0.8)
         seen = torch.cat([batch.observation, batch.action, batch.next_observation], dim=-1)
         assert {tuple(row) for row in seen.tolist()} == rows(replay)  # every one was drawn
@@ -118,12 +119,12 @@ def test_without_intrinsic_rewards_every_one_is_zero() -> None:
         learner.add_real(real(epoch))
         metrics = learner.learn()
     assert metrics["intrinsic_imagined"] == 0
-    for replay in (learner.real, learner.imagined.replay):
+    for replay in (learner.real.replay, learner.imagined.replay):
         batch = replay.sample(500, generator(), PointMassGoals(), future_fraction=0.8)
         assert (batch.intrinsic == 0).all()
 
 
-def test_the_model_free_baseline_imagines_nothing_and_hears_no_source() -> None:
+def test_the_model_free_baseline_imagines_nothing_and_has_no_source_input() -> None:
     learner = new(quick(**HER))
     untrained = learner.ensemble.state_dict()["members"]
     learner.add_real(real(1))
@@ -177,7 +178,7 @@ def test_models_that_diverge_stop_the_epoch_before_the_policy_sees_them() -> Non
         assert tensor.isfinite().all()
 
 
-def test_the_updates_of_an_epoch_follow_from_its_fresh_valid_steps() -> None:
+def test_the_updates_of_an_epoch_are_proportional_to_its_valid_steps() -> None:
     valid = np.ones(TICKS, bool)
     valid[[3, 7]] = False
     epochs = [real(1), [replace(real(2)[0], valid=valid), *real(2)[1:3]], real(3, 1)]
@@ -207,7 +208,7 @@ def test_the_updates_of_an_epoch_follow_from_its_fresh_valid_steps() -> None:
                 assert steps(optimizer) == {total}
 
 
-def test_what_is_learned_from_is_met_within_the_tolerance_that_is_asked_for() -> None:
+def test_rewards_use_the_configured_tolerance() -> None:
     strict = new(quick(replay={"tolerance": 0.4}))
     strict.add_real(real(1, 40))
     block = strict.sample_block(20)
@@ -222,14 +223,14 @@ def test_what_is_learned_from_is_met_within_the_tolerance_that_is_asked_for() ->
     assert (met[0.4] < met[1.0]).any()
 
 
-def test_even_the_fewest_steps_bring_one_update() -> None:
+def test_an_epoch_has_at_least_one_update() -> None:
     learner = new(quick(schedule={"updates_per_step": 0.001}, **HER))
     learner.add_real(real(1, 1))
     assert learner.learn()["updates"] == 1
 
 
 def moving(number: int, farthest_m: float) -> Episode:
-    """An episode whose achieved goal goes somewhere, and returns to where it was."""
+    """An episode whose achieved goal moves away and returns."""
     episode = real(1, 1)[0]
     observations = np.zeros_like(episode.observations)
     observations[:, 2] = number
@@ -245,7 +246,7 @@ def test_episodes_that_did_not_move_the_achieved_goal_are_drawn_less() -> None:
         each.add_real(episodes)
     resumed.load_state_dict(learner.state_dict(), [episodes])
     for each, share in ((learner, 0.1), (resumed, 0.1), (plain, 0.25)):
-        batch = each.real.sample(10_000, generator(), PointMassGoals(), future_fraction=0.8)
+        batch = each.real.replay.sample(10_000, generator(), PointMassGoals(), future_fraction=0.8)
         counts = torch.bincount(batch.observation[:, 2].long(), minlength=4)
         expected = torch.tensor([share, share, 0.5 - share, 0.5 - share])
         assert deviation(counts, expected) < 4
@@ -260,7 +261,7 @@ def test_what_the_task_does_not_declare_cannot_be_enabled(section: str, message:
         new(quick(**{section: {"enabled": True}}))
 
 
-def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
+def test_with_symmetry_everything_is_learned_from_images() -> None:
     config = quick(symmetry={"enabled": True}, contact={"enabled": True})
     goals = PointMassGoals()
     learner = new(config, symmetry=FarAwaySymmetry(), contact_model=goals)
@@ -275,18 +276,18 @@ def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
 
         ddpg.update_block = seen  # type: ignore[method-assign]
     learner.add_real(real(1))
-    real_rows = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    real_rows = {tuple(row) for row in learner.real.replay.start_observations()[:, :2].tolist()}
     learner.learn()
-    actions = {tuple(row) for row in stored(learner.real)[1].tolist()}
+    actions = {tuple(row) for row in stored(learner.real.replay)[1].tolist()}
     assert len(batches) == 12 + 4 * TICKS
     for index, batch in enumerate(batches):
-        told = batch.source == REAL
-        away = batch.observation[told, 0]
+        is_real = batch.source == REAL
+        away = batch.observation[is_real, 0]
         assert ((away > 99) & (away < 201)).all()
         assert away.std() > 20  # an image for each row
         for entry in (batch.next_observation, batch.goal):
-            assert (entry[told, 0] - away).abs().max() < 2  # the same image
-        assert {tuple(row) for row in (-batch.action[told]).tolist()} <= actions
+            assert (entry[is_real, 0] - away).abs().max() < 2  # the same image
+        assert {tuple(row) for row in (-batch.action[is_real]).tolist()} <= actions
         # Rewards stay, and are those of the images.
         achieved = goals.achieved_goal(batch.next_observation)
         gap = (achieved - batch.goal).square().sum(-1).sqrt()
@@ -296,7 +297,7 @@ def test_with_symmetry_all_that_is_learned_from_are_images() -> None:
     # The models know images only, imagination starts from them, and the data stay as they were.
     assert (learner.ensemble.obs_low[:2] > 99).all()
     assert (learner.imagined.replay.start_observations()[:, :2] > 99).all()
-    after = {tuple(row) for row in learner.real.start_observations()[:, :2].tolist()}
+    after = {tuple(row) for row in learner.real.replay.start_observations()[:, :2].tolist()}
     assert after == real_rows
 
 

@@ -1,4 +1,4 @@
-"""Which data the learner keeps, mixes and takes its statistics from."""
+"""Data of the learner: storage, mixture in a batch, statistics."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import torch
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.goal_model import IMAGINED, REAL
 from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.fakes import CPU, generator, marked_episode, stored
 from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.quick_learner import after, new, quick, real, rows
-from tests.learning.stand_ins import CPU, generator, marked_episode, stored
+from tests.learning.small_learner import after, new, quick, real, rows
 
 TICKS = SHAPES.episode_ticks
 
 
-def test_the_dynamics_statistics_know_the_real_data_only() -> None:
+def test_the_models_statistics_are_those_of_real_data_only() -> None:
     learner = after(2, quick())
-    observation, action, following = stored(learner.real)
+    observation, action, following = stored(learner.real.replay)
     inputs = torch.cat([observation, action], dim=-1)
     torch.testing.assert_close(learner.ensemble.input_normalizer.mean, inputs.mean(0))
     every = torch.cat([observation, following])
@@ -42,7 +42,7 @@ def test_imagined_data_never_enter_the_real_store() -> None:
         for e in everything:
             arrays = (torch.as_tensor(x)[None] for x in (e.observations, e.actions, e.desired_goal))
             expected.add(*arrays, epoch=1)
-        for mine, theirs in zip(stored(learner.real), stored(expected), strict=True):
+        for mine, theirs in zip(stored(learner.real.replay), stored(expected), strict=True):
             assert torch.equal(mine, theirs)
 
 
@@ -52,10 +52,10 @@ def test_real_transitions_carry_the_epoch_of_their_collection_also_after_a_resta
     for episodes in epochs:
         learner.add_real(episodes)
     resumed.load_state_dict(learner.state_dict(), epochs)
-    for replay in (learner.real, resumed.real):
+    for replay in (learner.real.replay, resumed.real.replay):
         for epoch in (1, 2, 3):
             only = torch.eye(4)[epoch]
-            _, action, _ = replay.steps(*replay.draw(100, generator(), only))
+            _, action, _ = replay.steps(*replay.sample_indices(100, generator(), only))
             assert set(action[:, 0].tolist()) == {float(epoch)}
 
 
@@ -69,7 +69,7 @@ def test_neither_a_transition_nor_hindsight_spans_an_invalid_tick() -> None:
     learner = new(quick())
     episode, valid = holes()
     learner.add_real([episode])
-    batch = learner.real.sample(3000, generator(), PointMassGoals(), future_fraction=0.8)
+    batch = learner.real.replay.sample(3000, generator(), PointMassGoals(), future_fraction=0.8)
     tick, goal_tick = batch.action[:, 1].int(), batch.goal[:, 1].int()
     assert set(tick.tolist()) == valid
     hindsight = batch.goal[:, 0] != -1
@@ -94,9 +94,9 @@ def test_the_share_of_imagined_transitions_is_that_of_newly_collected_ones() -> 
         assert metrics["imagined_transitions"] == imagined
         assert metrics["imagined_stored"] == 3 * TICKS
         assert metrics["imagined_share"] == pytest.approx(imagined / (imagined + collected))
-        told = learner.sample_block(1).source
-        assert len(told) == 50
-        assert int((told == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
+        sources = learner.sample_block(1).source
+        assert len(sources) == 50
+        assert int((sources == IMAGINED).sum()) == round(50 * imagined / (imagined + collected))
 
 
 def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
@@ -105,7 +105,7 @@ def test_a_batch_is_as_large_as_those_of_all_workers() -> None:
     assert len(learner.sample_block(1).source) == 150
 
 
-def test_batches_that_are_drawn_together_are_as_large_and_as_mixed_as_one() -> None:
+def test_batches_sampled_together_have_the_size_and_mixture_of_one() -> None:
     learner = new(quick(imagination={"share": 0.4}))
     learner.add_real(real(1))
     learner.learn()
@@ -127,10 +127,10 @@ def test_the_policys_statistics_are_those_of_real_data_and_relabelled_goals() ->
     assert goal_mean(0.8) == pytest.approx(20.0, abs=6.0)
 
     learner = new(quick())
-    for epoch in (1, 2):  # elsewhere in the second, so that each must be counted once
+    for epoch in (1, 2):  # shifted by epoch, so that counting one twice would show
         moved = [replace(e, observations=e.observations + epoch) for e in real(epoch, 100)]
         learner.add_real(moved)
-    observation, _, _ = stored(learner.real)
+    observation, _, _ = stored(learner.real.replay)
     normalizer = learner.policy.obs_normalizer
     torch.testing.assert_close(normalizer.mean, observation.mean(0), atol=0.01, rtol=0)
     torch.testing.assert_close(normalizer.std, observation.std(0), atol=0.01, rtol=0)
@@ -178,7 +178,7 @@ def test_without_regeneration_the_oldest_imagined_data_go_first() -> None:
 
 
 @pytest.mark.parametrize("actions", ["applied", "between"])
-def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_from(
+def test_requested_actions_reach_policy_and_models_only_with_between(
     actions: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learner = new(quick(replay={"actions": actions}))
@@ -194,8 +194,8 @@ def test_what_was_asked_for_reaches_policy_and_models_only_where_it_is_learned_f
 
     monkeypatch.setattr(learner.ensemble, "_inputs", spy)
     learner.add_real(episodes)
-    learner.ensemble.fit_normalizers(learner.real, learner.generator)
-    learner.ensemble.train(learner.real, 2, batch_size=64, generator=learner.generator)
+    learner.ensemble.fit_normalizers(learner.real.replay, learner.generator)
+    learner.ensemble.train(learner.real.replay, 2, batch_size=64, generator=learner.generator)
     for action in (learner.sample_block(1).action, seen[-1]):
         assert (action >= 0).all()
         assert (action <= 1).all()

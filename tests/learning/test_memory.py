@@ -1,4 +1,4 @@
-"""What a learner holds has a bound, and it asks for no more shapes of products than a few."""
+"""Memory of a learner: it is bounded, and matrix products have few different shapes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.mlp import LARGEST_BLOCK
 from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.fakes import CPU, FarAwaySymmetry
 from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.quick_learner import HER, new, quick, real
-from tests.learning.stand_ins import CPU, FarAwaySymmetry
+from tests.learning.small_learner import HER, new, quick, real
 
 TICKS = SHAPES.episode_ticks
 CONTACT: dict[str, Any] = {"contact": {"enabled": True}, "symmetry": {"enabled": True}}
@@ -33,7 +33,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 def held_bytes() -> int:
-    """Bytes of all tensors that anything refers to; views of one storage count once."""
+    """Bytes of all referenced tensors; views of one storage count once."""
     gc.collect()
     tensors = [each for each in gc.get_objects() if issubclass(type(each), torch.Tensor)]
     storages = {s.data_ptr(): s.nbytes() for s in (t.untyped_storage() for t in tensors)}
@@ -41,7 +41,7 @@ def held_bytes() -> int:
 
 
 def ragged(epoch: int) -> list[Episode]:
-    """Episodes with holes, of which there are never as many transitions as before."""
+    """Episodes with invalid ticks, with another number of transitions in each epoch."""
     rng = np.random.default_rng(epoch)
     return [replace(e, valid=rng.random(TICKS) < 0.8) for e in real(epoch, 3 + epoch % 4)]
 
@@ -53,8 +53,17 @@ def epoch_of(learner: Learner, episodes: list[Episode]) -> None:
     learner.state_dict()
 
 
+@pytest.fixture(autouse=True)
+def only_new_objects() -> Iterator[None]:
+    """Let `gc` look at what a test makes, and not at each object of every module loaded before."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_learner_whose_replays_are_full_holds_no_more_after_any_epoch(kind: str) -> None:
+def test_memory_is_constant_once_the_replays_are_full(kind: str) -> None:
     sections = dict(KINDS[kind])
     sections["replay"] = sections.get("replay", {}) | {"capacity": 10 * TICKS}
     learner = new(quick(**sections), symmetry=FarAwaySymmetry(), contact_model=PointMassGoals())
@@ -62,13 +71,13 @@ def test_a_learner_whose_replays_are_full_holds_no_more_after_any_epoch(kind: st
     for epoch in range(1, 9):
         epoch_of(learner, ragged(epoch))
         held.append(held_bytes())
-    assert learner.real.num_episodes == 10
+    assert learner.real.replay.num_episodes == 10
     assert len(set(held[3:])) == 1, held
 
 
 @pytest.mark.parametrize("between", [False, True])
 @pytest.mark.parametrize("capacity", [TICKS, 1_000, 12_345])
-def test_the_bytes_of_a_replay_follow_from_its_capacity_alone(capacity: int, between: bool) -> None:
+def test_the_bytes_of_a_replay_depend_on_its_capacity_only(capacity: int, between: bool) -> None:
     before = held_bytes()
     replay = EpisodeReplay(SHAPES, capacity=capacity, source=0, device=CPU, between=between)
     obs, action, goal = SHAPES.obs_dim, SHAPES.action_dim, SHAPES.goal_dim
@@ -88,7 +97,7 @@ def test_the_bytes_of_a_replay_follow_from_its_capacity_alone(capacity: int, bet
 
 @contextmanager
 def rows_of_products() -> Iterator[set[int]]:
-    """Numbers of rows that linear layers are given meanwhile."""
+    """Numbers of rows that linear layers receive inside the context."""
     seen: set[int] = set()
 
     def note(module: nn.Module, args: tuple[Any, ...]) -> None:
@@ -103,7 +112,7 @@ def rows_of_products() -> Iterator[set[int]]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_products_have_the_rows_of_a_batch_or_of_a_block(kind: str) -> None:
+def test_matrix_products_have_the_rows_of_a_batch_or_of_a_block(kind: str) -> None:
     config = quick(schedule={"imaginary_rollouts": 3}, **KINDS[kind])
     learner = new(config, symmetry=FarAwaySymmetry(), contact_model=PointMassGoals())
     with rows_of_products() as seen:
@@ -136,6 +145,6 @@ def test_episodes_are_restored_one_epoch_at_a_time() -> None:
             yield iter(episodes)
 
     resumed.load_state_dict(learner.state_dict(), read())
-    assert resumed.real.num_transitions == learner.real.num_transitions
-    assert resumed.real.newest_epoch == 6
+    assert resumed.real.replay.num_transitions == learner.real.replay.num_transitions
+    assert resumed.real.replay.newest_epoch == 6
     assert max(alive) - alive[0] <= len(real(1))

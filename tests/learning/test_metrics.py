@@ -15,7 +15,7 @@ def test_each_name_is_averaged_over_the_steps_that_reported_it() -> None:
     assert meter.means() == {"loss": 2.0, "q": -2.0}
 
 
-def test_values_of_several_steps_count_as_so_many() -> None:
+def test_each_step_of_a_vector_counts_once() -> None:
     meter = Meter()
     meter.add({"loss": torch.tensor([1.0, 2.0, 3.0]), "q": torch.tensor([5.0])})
     meter.add({"loss": torch.tensor([6.0])})

@@ -1,6 +1,6 @@
-"""What a learner computes on a device: nothing of an update waits for it, and graphs repeat it.
+"""Updates on a device: the host never waits for it, and CUDA graphs give the same result.
 
-There is no GPU where this is tested; that nothing is asked of the device shows on a CPU as well.
+Waiting for the device is detected on a CPU as well, so that most of this runs without a GPU.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import BLOCK
+from iher_robot.learning.transitions import BLOCK
+from tests.learning.fakes import FarAwaySymmetry
 from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.quick_learner import new, quick, real
-from tests.learning.stand_ins import FarAwaySymmetry
+from tests.learning.small_learner import new, quick, real
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -39,8 +39,8 @@ DECLARED: dict[str, dict[str, Any]] = {
 }
 
 
-class NothingIsAsked(TorchDispatchMode):
-    """Refuses what makes the processor wait for a GPU: values, or shapes that follow from them."""
+class NoSynchronisation(TorchDispatchMode):
+    """Refuses what makes the host wait for a GPU: values, and shapes that depend on values."""
 
     WAITS = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "is_nonzero", "equal")
 
@@ -64,21 +64,21 @@ def learner_of(name: str) -> Learner:
 def test_a_block_of_updates_never_waits_for_the_device(name: str) -> None:
     learner = learner_of(name)
     before = learner.ddpg.state_dict()["critics"]
-    with NothingIsAsked():  # type: ignore[no-untyped-call]
+    with NoSynchronisation():  # type: ignore[no-untyped-call]
         learner.ddpg.update_block(learner.sample_block(BLOCK), BLOCK)
     after = learner.ddpg.state_dict()["critics"]
     assert any(not torch.equal(before[key], after[key]) for key in before)
 
 
-def test_what_waits_is_noticed() -> None:
+def test_waiting_for_the_device_is_detected() -> None:
     values = torch.arange(3.0)
     for waits in (lambda: float(values[0]), lambda: values[values > 1], lambda: bool(values.any())):
-        with pytest.raises(AssertionError), NothingIsAsked():  # type: ignore[no-untyped-call]
+        with pytest.raises(AssertionError), NoSynchronisation():  # type: ignore[no-untyped-call]
             waits()
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_a_block_of_updates_does_what_single_ones_do(name: str) -> None:
+def test_a_block_of_updates_equals_single_updates(name: str) -> None:
     together, apart = learner_of(name), learner_of(name)
     count = 7
     block = together.sample_block(count)
@@ -95,7 +95,7 @@ def test_a_block_of_updates_does_what_single_ones_do(name: str) -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 @pytest.mark.parametrize("name", SETTINGS)
-def test_replayed_graphs_learn_what_launched_kernels_do(name: str) -> None:
+def test_replayed_graphs_equal_launched_kernels(name: str) -> None:
     learned = []
     for graphs in (False, True):
         config = quick(**SETTINGS[name]).model_copy(update={"cuda_graphs": graphs})

@@ -1,4 +1,4 @@
-"""Acting, exploring and keeping a policy."""
+"""Policies: acting, inputs, snapshots."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ import io
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from iher_robot.learning.config import ExplorationConfig
 from iher_robot.learning.goal_model import IMAGINED, REAL
-from iher_robot.learning.policy import Policy, explore
-from tests.learning.point_mass import SHAPES, small_config
-from tests.learning.stand_ins import (
+from iher_robot.learning.policy import Policy
+from tests.learning.fakes import (
     CPU,
-    NO_NOISE,
-    deviation,
     generator,
     linear_policy,
     saved_and_loaded,
 )
+from tests.learning.point_mass import SHAPES, small_config
 
 
 def policy(seed: int = 0, *, source_input: bool = True) -> Policy:
@@ -41,58 +36,16 @@ def inputs(batch: int = 20) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     )
 
 
-def noise(std: float, random: float) -> ExplorationConfig:
-    return ExplorationConfig(noise_std=std, random_fraction=random)
-
-
-@settings(deadline=None, max_examples=50)
-@given(st.floats(0, 50), st.floats(0, 1), st.integers(0, 2**31))
-def test_explored_actions_stay_within_bounds(std: float, random: float, seed: int) -> None:
-    rng = generator(seed)
-    action = 2 * torch.rand(64, 4, generator=rng) - 1
-    explored = explore(action, noise(std, random), rng)
-    assert explored.shape == action.shape
-    assert explored.abs().max() <= 1
-
-
-def test_without_noise_and_random_actions_nothing_changes() -> None:
-    action = torch.tanh(torch.randn(50, 4, generator=generator()))
-    assert torch.equal(explore(action, NO_NOISE, generator(1)), action)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_a_share_of_whole_actions_is_replaced_by_uniform_ones(share: float) -> None:
-    action = torch.full((20_000, 4), 0.25)
-    explored = explore(action, noise(0.0, share), generator())
-    changed = explored != action
-    assert torch.equal(changed.all(-1), changed.any(-1))
-    assert float(changed[:, 0].float().mean()) == pytest.approx(share, abs=0.015)
-    if share:
-        replaced = explored[changed[:, 0]].flatten()
-        counts = torch.histc(replaced, bins=10, min=-1, max=1)
-        assert counts.sum() == len(replaced)
-        assert deviation(counts, torch.ones(10)) < 4
-
-
-def test_noise_is_gaussian_of_the_given_deviation_around_the_action() -> None:
-    action = torch.tensor([[0.0, 0.3]]).expand(50_000, 2)
-    disturbed = explore(action, noise(0.2, 0.0), generator()) - action
-    assert disturbed.mean(0).tolist() == pytest.approx([0.0, 0.0], abs=0.005)
-    assert disturbed.std(0).tolist() == pytest.approx([0.2, 0.2], rel=0.02)
-    within = (disturbed.abs() < 0.2).float().mean()
-    assert float(within) == pytest.approx(0.683, abs=0.01)
-
-
-def test_actions_depend_on_what_the_normalisers_make_of_the_inputs() -> None:
+def test_actions_depend_on_normalised_inputs() -> None:
     actor = linear_policy(goal_gain=0.5)
     observation, goal = torch.zeros(1, 6), torch.tensor([[1.0, -2.0]])
-    told = torch.tensor([REAL])
+    source = torch.tensor([REAL])
     expected = torch.tanh(torch.tensor([[0.5, -1.0]]))
-    torch.testing.assert_close(actor.act(observation, goal, told), expected)
+    torch.testing.assert_close(actor.act(observation, goal, source), expected)
     actor.goal_normalizer.update(torch.tensor([[0.0, -4.0], [4.0, 4.0]]))  # 2 +- 2 and 0 +- 4
     actor.obs_normalizer.update(torch.tensor([[3.0] * 6, [5.0] * 6]))  # 4 +- 1
     expected = torch.tanh(0.5 * torch.tensor([[-0.5 + 4.0, -0.5 + 4.0]]))
-    torch.testing.assert_close(actor.act(observation, goal, told), expected)
+    torch.testing.assert_close(actor.act(observation, goal, source), expected)
 
 
 def test_the_source_is_the_last_feature_one_for_real() -> None:
@@ -103,11 +56,13 @@ def test_the_source_is_the_last_feature_one_for_real() -> None:
     assert not torch.equal(*(policy().act(observation, goal, torch.full((20,), s)) for s in (0, 1)))
 
 
-def test_without_the_source_input_the_source_changes_nothing() -> None:
+def test_without_the_source_input_the_source_has_no_effect() -> None:
     observation, goal, _ = inputs()
-    deaf = policy(source_input=False)
-    assert deaf.input_dim == SHAPES.obs_dim + SHAPES.goal_dim
-    assert torch.equal(*(deaf.act(observation, goal, torch.full((20,), s)) for s in (0, 1)))
+    without_source = policy(source_input=False)
+    assert without_source.input_dim == SHAPES.obs_dim + SHAPES.goal_dim
+    assert torch.equal(
+        *(without_source.act(observation, goal, torch.full((20,), s)) for s in (0, 1))
+    )
 
 
 @pytest.mark.parametrize("source_input", [True, False])
@@ -123,7 +78,7 @@ def test_a_snapshot_acts_identically_after_a_safe_load(source_input: bool) -> No
     assert (copy.shapes, copy.hidden) == (original.shapes, original.hidden)
 
 
-def test_a_snapshot_does_not_follow_the_policy() -> None:
+def test_a_snapshot_is_independent_of_the_policy() -> None:
     original = policy()
     snapshot = original.snapshot()
     before = original.act(*inputs())
@@ -162,7 +117,7 @@ def shifted(by: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     return observation, goal + by, source
 
 
-def test_relative_inputs_do_not_see_a_shift_of_the_whole_scene() -> None:
+def test_relative_inputs_are_invariant_to_a_shift_of_the_scene() -> None:
     policy = relative_policy()
     action = policy.act(*inputs())
     torch.testing.assert_close(policy.act(*shifted(3.0)), action)
@@ -172,7 +127,7 @@ def test_relative_inputs_do_not_see_a_shift_of_the_whole_scene() -> None:
     assert not torch.allclose(policy.act(observation, goal, source), action)
 
 
-def test_absolute_inputs_see_it() -> None:
+def test_absolute_inputs_are_not_invariant_to_a_shift() -> None:
     assert not torch.allclose(policy().act(*shifted(3.0)), policy().act(*inputs()))
 
 

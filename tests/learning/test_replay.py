@@ -1,4 +1,4 @@
-"""Hindsight replay: what may be stored, drawn and relabelled."""
+"""Hindsight replay: storage, sampling, relabelling."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.goal_model import IMAGINED, REAL
-from iher_robot.learning.replay import EpisodeReplay, Transitions
-from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.stand_ins import (
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
+from tests.learning.fakes import (
     CPU,
     deviation,
     generator,
@@ -19,6 +19,7 @@ from tests.learning.stand_ins import (
     store,
     stored,
 )
+from tests.learning.point_mass import SHAPES, PointMassGoals
 
 TICKS = SHAPES.episode_ticks
 lengths_strategy = st.lists(st.integers(1, TICKS), min_size=1, max_size=8)
@@ -58,7 +59,7 @@ def test_the_reward_is_that_of_the_next_observation_under_the_goal(
     goals = PointMassGoals()
     achieved = goals.achieved_goal(batch.next_observation)
     assert torch.equal(batch.extrinsic, goals.compute_reward(achieved, batch.goal))
-    # Said without the goal model: met where the goal is what the very next tick achieved.
+    # Without the goal model: the goal is met where it equals the next tick's achieved goal.
     met = (batch.goal == batch.next_observation[:, :2]).all(-1)
     assert torch.equal(batch.extrinsic == 0, met)
     assert (batch.extrinsic[~met] == -1).all()
@@ -83,10 +84,10 @@ def test_the_share_of_relabelled_transitions(fraction: float) -> None:
 
 def test_draws_are_uniform_over_transitions_not_over_episodes() -> None:
     replay = replay_of([marked_episode(n, length) for n, length in enumerate([12, 1, 3, 12, 7])])
-    episode, tick = replay.draw(40_000, generator())
+    episode, tick = replay.sample_indices(40_000, generator())
     counts = torch.zeros(5, TICKS)
     counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
-    drawable = counts[replay.every_step()]
+    drawable = counts[replay.all_indices()]
     assert drawable.sum() == len(tick)
     assert deviation(drawable, torch.ones(len(drawable))) < 4
 
@@ -96,7 +97,7 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
     for number, (epoch, length) in enumerate([(1, 12), (2, 2), (2, 7), (3, 5), (4, 1)]):
         store(replay, [marked_episode(number, length)], epoch)
     weights = torch.tensor([9.0, 0.5, 1.0, 0.0, 3.0])
-    episode, tick = replay.draw(40_000, generator(), weights)
+    episode, tick = replay.sample_indices(40_000, generator(), weights)
     counts = torch.zeros(5, TICKS)
     counts.index_put_((episode, tick), torch.ones(len(tick)), accumulate=True)
     assert counts[3].sum() == 0  # epoch 3 weighs nothing
@@ -105,20 +106,20 @@ def test_draws_follow_the_weights_of_the_epochs() -> None:
         assert counts[number].sum() / 40_000 == pytest.approx(expected, abs=0.01)
     first = counts[0, :12]
     assert deviation(first, torch.ones(12)) < 4
-    # A weighted draw leaves the uniform one as it was.
-    again, _ = replay.draw(40_000, generator())
+    # A weighted draw does not affect uniform ones.
+    again, _ = replay.sample_indices(40_000, generator())
     assert (again == 3).float().mean() == pytest.approx(5 / 27, abs=0.01)
 
 
-def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() -> None:
+def test_draws_follow_the_weights_of_the_episodes_unless_epoch_weights_are_given() -> None:
     lengths, weights = [12, 3, 7, 12, 1], [1.0, 0.25, 0.25, 1.0, 4.0]
 
     def frequencies(replay: EpisodeReplay, *epoch_weights: torch.Tensor) -> torch.Tensor:
         counts = torch.zeros(5, TICKS)
-        drawn = replay.draw(40_000, generator(), *epoch_weights)
+        drawn = replay.sample_indices(40_000, generator(), *epoch_weights)
         counts.index_put_(drawn, torch.ones(40_000), accumulate=True)
-        assert counts[replay.every_step()].sum() == 40_000
-        return counts[replay.every_step()]
+        assert counts[replay.all_indices()].sum() == 40_000
+        return counts[replay.all_indices()]
 
     replay = replay_of()
     for number, (length, weight) in enumerate(zip(lengths, weights, strict=True)):
@@ -132,11 +133,11 @@ def test_draws_follow_the_weights_of_the_episodes_unless_epochs_are_weighed() ->
     assert float(share) == pytest.approx(4 / float(a_tick.sum()), abs=0.01)
 
 
-def test_a_weight_goes_with_its_episode() -> None:
+def test_a_weight_is_dropped_with_its_episode() -> None:
     replay = replay_of(capacity=2 * TICKS)
     for number, weight in ((0, 1.0), (1, 1e-6), (2, 1.0), (3, 1.0)):
         store(replay, [marked_episode(number, TICKS)], weight=weight)
-        replay.draw(1, generator())
+        replay.sample_indices(1, generator())
         seen = set(sample(replay, 200, 0.0).observation[:, 0].tolist())
         assert seen == {0: {0}, 1: {0}, 2: {2}, 3: {2, 3}}[number]
 
@@ -177,9 +178,9 @@ def test_first_in_first_out(capacity: int, batches: list[tuple[int, int]], seed:
     assert {tuple(row) for row in batch.action.int().tolist()} <= kept
 
 
-def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> None:
+def test_a_cleared_replay_is_empty_and_sampling_it_names_the_source() -> None:
     replay = replay_of([marked_episode(n, TICKS) for n in range(4)], source=IMAGINED)
-    replay.draw(1, generator())
+    replay.sample_indices(1, generator())
     replay.clear()
     assert (replay.num_episodes, replay.num_transitions, replay.newest_epoch) == (0, 0, 0)
     with pytest.raises(ValueError, match=f"source {IMAGINED} holds no episode"):
@@ -188,10 +189,10 @@ def test_a_cleared_source_forgets_everything_and_names_itself_when_sampled() -> 
     assert set(sample(replay, 100, 0.0).action[:, 0].tolist()) == {9.0}
 
 
-def test_a_cached_intrinsic_reward_belongs_to_its_transition_and_dies_with_it() -> None:
+def test_a_cached_intrinsic_reward_is_stored_and_dropped_with_its_transition() -> None:
     replay = replay_of([marked_episode(n, 5) for n in range(2)], capacity=2 * TICKS)
     assert (sample(replay, 50, 0.0).intrinsic == 0).all()
-    episode, tick = replay.every_step()
+    episode, tick = replay.all_indices()
     replay.store_intrinsic(episode, tick, 10.0 * episode + tick)
     batch = sample(replay, 200, 0.5)
     assert torch.equal(batch.intrinsic, 10 * batch.action[:, 0] + batch.action[:, 1])
@@ -214,7 +215,7 @@ def test_each_batch_of_a_block_has_its_share_of_every_source() -> None:
 
 
 @pytest.mark.parametrize("between", [False, True])
-def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
+def test_actions_are_applied_ones_or_between_applied_and_requested_ones(
     between: bool,
 ) -> None:
     replay = EpisodeReplay(SHAPES, capacity=1200, source=REAL, device=CPU, between=between)
@@ -224,7 +225,7 @@ def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
     observations = torch.zeros(3, SHAPES.episode_ticks + 1, SHAPES.obs_dim)
     goals = torch.zeros(3, SHAPES.goal_dim)
     replay.add(observations, applied, goals, epoch=1, requested=requested)
-    replay.add(observations, -applied, goals, epoch=1)  # nothing was cut down
+    replay.add(observations, -applied, goals, epoch=1)  # no request was clipped
     action = replay.sample(4000, generator(), PointMassGoals(), future_fraction=0.8).action
     first = action[action[:, 0] > 0]
     assert (action[action[:, 0] < 0] == -0.2).all()
@@ -241,7 +242,7 @@ def test_actions_are_the_applied_ones_or_any_on_the_way_to_the_requested_ones(
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(1, 4), lengths_strategy, st.booleans())
-def test_a_replay_that_is_restored_draws_and_forgets_as_the_first(
+def test_a_restored_replay_samples_and_overwrites_like_the_original(
     capacity: int, lengths: list[int], between: bool
 ) -> None:
     first, second = (

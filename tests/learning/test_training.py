@@ -1,4 +1,4 @@
-"""Whole training runs on the point mass: that it learns, repeats, resumes, and what ablates it."""
+"""Training runs on the point mass: success, ablations, repeatability, resuming."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.policy import Policy
+from tests.learning.fakes import CPU, same, saved_and_loaded
 from tests.learning.point_mass import SHAPES, PointMassGoals, rollout, small_config
-from tests.learning.stand_ins import CPU, same, saved_and_loaded
 
 ABLATIONS: dict[str, dict[str, dict[str, Any]]] = {
     "iher": {},
@@ -46,13 +46,13 @@ def new(config: LearnerConfig, seed: int = 0) -> Learner:
 
 
 def episodes(epoch: int) -> list[Episode]:
-    """Real episodes of one epoch, with random actions: what a policy does is not at stake."""
+    """Real episodes of one epoch, with random actions."""
     rng = np.random.default_rng(epoch)
     return [rollout(rng) for _ in range(6)]
 
 
 def train(learner: Learner, first: int, last: int) -> list[dict[str, float]]:
-    """Metrics of some epochs, without the one that is a matter of the machine."""
+    """Metrics of some epochs, without the speed."""
     metrics = []
     for epoch in range(first, last + 1):
         learner.add_real(episodes(epoch))
@@ -81,22 +81,22 @@ def test_it_learns_to_reach_goals_from_sparse_rewards(ablation: str) -> None:
 
 
 @pytest.mark.parametrize("ablation", ["iher", "her"])
-def test_it_learns_as_well_with_products_in_bfloat16(ablation: str) -> None:
+def test_it_learns_as_well_in_bfloat16(ablation: str) -> None:
     learner = new(config(ablation).model_copy(update={"matmul_precision": "bfloat16"}))
-    assert learner.policy.products == torch.bfloat16
+    assert learner.policy.matmul_dtype == torch.bfloat16
     train(learner, 1, 3)
     assert success(learner.policy) > 0.6
     assert success(learner.acting_policy(CPU)) > 0.6
 
 
 @pytest.mark.parametrize("ablation", ["iher", "her"])
-def test_resuming_at_the_end_of_an_epoch_equals_no_interruption(ablation: str) -> None:
+def test_resuming_after_an_epoch_equals_no_interruption(ablation: str) -> None:
     whole = new(config(ablation, cycles=7), seed=3)
     train(whole, 1, 2)
     state = saved_and_loaded(whole.state_dict())
     expected = train(whole, 3, 4)
 
-    resumed = new(config(ablation, cycles=7), seed=4)  # nothing comes from the seed any more
+    resumed = new(config(ablation, cycles=7), seed=4)  # the seed has no effect any more
     resumed.load_state_dict(state, [episodes(1), episodes(2)])
     assert train(resumed, 3, 4) == expected
     assert same(resumed.policy.snapshot(), whole.policy.snapshot())
@@ -104,7 +104,7 @@ def test_resuming_at_the_end_of_an_epoch_equals_no_interruption(ablation: str) -
     assert resumed.imagined_share == whole.imagined_share
 
 
-def test_a_state_is_a_copy_that_neither_learner_writes_to() -> None:
+def test_no_learner_writes_to_a_state() -> None:
     learner = new(config(cycles=3))
     train(learner, 1, 1)
     state = learner.state_dict()

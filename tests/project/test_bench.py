@@ -21,7 +21,7 @@ from bench.speed.settings import Settings
 from iher_robot.config.run import load_config
 from iher_robot.env.goal_env import make_env
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.transitions import Transitions
 from iher_robot.training.setup import make_learner
 from tests.repository import ROOT
 

@@ -54,6 +54,24 @@ def test_every_error_in_a_sentence_exists() -> None:
     assert named == {LinkLost.__name__, LinkTooSlow.__name__}
 
 
+def test_every_message_of_troubleshooting_exists() -> None:
+    table = PAGE.split("## Troubleshooting")[1]
+    cells = re.findall(r"^\| (`.*?) \| ", table, flags=re.MULTILINE)
+    messages = [text for cell in cells for text in re.findall(r"`([^`]+)`", cell)]
+    messages = [text for text in messages if " " in text]
+    code = "".join(
+        file.read_text()
+        for name in ("iher_robot", "drivers")
+        for file in (ROOT / name).rglob("*.py")
+    )
+    code = re.sub(r"[\"']\s*f?[\"']", "", code)  # literals that Python joins
+    parts = [
+        part.strip() for message in messages for part in re.split(r"\.\.\.|object0|'|0\.3", message)
+    ]
+    assert len(messages) >= 9
+    assert [part for part in parts if part not in code] == []
+
+
 def test_the_robot_file_of_a_client_is_one() -> None:
     (text,) = blocks("yaml")
     options = yaml.safe_load(text)

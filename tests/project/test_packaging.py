@@ -76,11 +76,24 @@ def test_a_missing_package_is_named_in_the_error(tmp_path: Path) -> None:
         command, cwd=tmp_path, env={}, capture_output=True, text=True, check=False
     )
 
-    assert f"'drivers' at {tmp_path / 'drivers'}, and there is none" in result.stderr
+    assert f"'drivers' at {tmp_path / 'drivers'}, which is missing" in result.stderr
 
 
-def test_importing_the_package_loads_neither_torch_nor_mujoco() -> None:
-    code = "import sys, iher_robot; print({'torch', 'mujoco'} & set(sys.modules))"
+# What is heavy, and must not be loaded by what is used often or in many processes.
+HEAVY = {
+    "iher_robot": {"gymnasium", "mujoco", "numpy", "torch"},
+    "iher_robot.cli.app": {"gymnasium", "mujoco", "numpy", "torch"},
+    "iher_robot.host.serve": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.datasets.api": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.datasets.spending": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.experiments.experiment": {"matplotlib", "mujoco", "scipy", "torch"},
+    "iher_robot.training.train": {"matplotlib", "mujoco", "scipy", "tensorboard"},
+}
+
+
+@pytest.mark.parametrize("module", HEAVY)
+def test_what_takes_long_to_load_is_loaded_when_it_is_used(module: str) -> None:
+    code = f"import sys, {module}; print({HEAVY[module]} & set(sys.modules))"
 
     assert run_python("-c", code, folder=ROOT).stdout.strip() == "set()"
 
@@ -114,10 +127,41 @@ def test_every_public_name_resolves_to_what_bears_it() -> None:
         _ = iher_robot.no_such_name
 
 
-def test_importing_the_package_registers_the_environments() -> None:
-    code = "import gymnasium, iher_robot; print(gymnasium.spec('iher_robot/Push-v0').entry_point)"
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import gymnasium, iher_robot",
+        "import iher_robot, gymnasium",
+        "import iher_robot, gymnasium.spaces",
+        "import gymnasium.envs.registration, iher_robot.cli.app",
+        "import importlib as i, iher_robot as r; i.reload(r.env.registration); i.reload(r)",
+    ],
+)
+def test_the_environments_are_registered_in_every_order_of_imports(imports: str) -> None:
+    code = (
+        f"{imports}\nimport importlib.resources, sys, gymnasium\n"
+        "print(gymnasium.spec('iher_robot/Push-v0').entry_point)\n"
+        "print(type(gymnasium.__spec__.loader).__name__, type(gymnasium.__loader__).__name__)\n"
+        "print((importlib.resources.files('gymnasium') / 'envs').is_dir())\n"
+        "print([one for one in sys.meta_path if type(one).__module__.startswith('iher_robot')])"
+    )
 
-    assert run_python("-c", code, folder=ROOT).stdout.startswith("iher_robot.env:")
+    lines = run_python("-c", code, folder=ROOT).stdout.splitlines()
+
+    loader = "SourceFileLoader"
+    assert lines == ["iher_robot.env:make_env", f"{loader} {loader}", "True", "[]"]
+
+
+def test_an_environment_is_made_in_a_program_that_names_no_room() -> None:
+    code = (
+        "import iher_robot, gymnasium\n"
+        "env = gymnasium.make('iher_robot/Reach-v0')\n"
+        "print(type(env.unwrapped).__name__, env.spec.max_episode_steps)\n"
+    )
+
+    result = run_python("-c", code, folder=ROOT)
+
+    assert result.stdout.split() == ["GoalRobotEnv", "50"], result.stderr
 
 
 def test_the_presets_are_package_data() -> None:

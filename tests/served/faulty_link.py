@@ -1,4 +1,4 @@
-"""A link that loses, delays, reorders, repeats and damages messages, by chance and repeatably."""
+"""A link that randomly loses, delays, reorders, repeats and damages messages, from a seed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.served.served_robot import free_port
 ROBOT = "fetch"
 TO_HOST, TO_CLIENT = "to host", "to client"
 _OVERTAKEN_S = 0.1
-"""A message that waits to be overtaken goes on after this time, if no other comes."""
+"""A message that waits to be overtaken is delivered after this time without another one."""
 _REPLY_S = 120.0
 
 Deliver = Callable[[bytes], None]
@@ -32,13 +32,13 @@ Deliver = Callable[[bytes], None]
 
 @dataclass(frozen=True)
 class Faults:
-    """What becomes of each message, in both directions.
+    """Faults of the messages in both directions.
 
     Attributes:
         drop: Probability that it is lost.
-        delay_ms: Bounds of the time that it takes, drawn evenly.
+        delay_ms: Bounds of its uniformly distributed delay.
         swap: Probability that the next one of its kind overtakes it.
-        duplicate: Probability that it arrives a second time, after a time of its own.
+        duplicate: Probability that it arrives a second time, with another delay.
         truncate: Probability that its end is missing.
     """
 
@@ -53,14 +53,14 @@ NO_FAULTS = Faults()
 
 
 class FaultyLink(Closing):
-    """Stands between the clients that connect to it and a host, with a session for each side.
+    """Relay between a host and the clients that connect to it, with a session for each side.
 
-    Of every stream (a key, a direction) the n-th message always suffers the same.
+    The faults of the n-th message of a stream (a key and a direction) depend on the seed only.
 
     Attributes:
         endpoint: Where clients connect.
-        faults: In force now; may be changed at any time.
-        partitioned: Whether nothing passes, not even what is on its way.
+        faults: The current faults; may be changed at any time.
+        partitioned: Whether no message passes, including those in transit.
         passed: Messages delivered, by direction and key.
         suffered: Faults, by kind.
     """
@@ -76,7 +76,7 @@ class FaultyLink(Closing):
         self._overtaken: dict[tuple[str, str], _Once] = {}
         self._lock = threading.Lock()
         self._timetable = _Timetable()
-        self._queries: list[zenoh.Query] = []  # one that is let go is answered: with nothing
+        self._queries: list[zenoh.Query] = []  # a query that is released counts as answered
         self._to_host = open_session(link_options({"connect": [host]}))
         listening = {"listen/endpoints": [self.endpoint], "listen/exit_on_failure": True}
         self._to_clients = zenoh.open(make_config({**POINT_TO_POINT, **listening}))
@@ -106,7 +106,7 @@ class FaultyLink(Closing):
         self._queries.append(query)
 
         def give(body: bytes) -> None:
-            with query:  # there is no other answer, for which Zenoh would wait
+            with query:  # its end tells Zenoh that no other reply follows
                 query.reply(key, body)
 
         def answer(reply: zenoh.Reply) -> None:
@@ -120,7 +120,7 @@ class FaultyLink(Closing):
         self._send((TO_HOST, name), body, ask)
 
     def _send(self, stream: tuple[str, str], body: bytes, deliver: Deliver) -> None:
-        """Let chance decide, and put what is left of the message in the timetable."""
+        """Draw the faults of a message, and schedule its delivery."""
         with self._lock:
             if stream not in self._rngs:
                 key = zlib.crc32(" ".join(stream).encode())
@@ -174,7 +174,7 @@ class FaultyLink(Closing):
 
 
 class _Once:
-    """Something that happens once, whoever asks for it."""
+    """A function that runs on the first call only."""
 
     def __init__(self, happen: Callable[[], None]) -> None:
         self._happen: Callable[[], None] | None = happen
@@ -186,7 +186,7 @@ class _Once:
 
 
 class _Timetable:
-    """Calls each at its time, from one thread; those of one time in the order of their coming."""
+    """Runs functions at their time, in one thread; those of equal times in their order."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[float, int, _Once]] = []
@@ -222,4 +222,4 @@ class _Timetable:
             try:
                 call()
             except zenoh.ZError:
-                continue  # whom it was for has gone
+                continue  # its receiver is gone

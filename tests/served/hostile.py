@@ -11,7 +11,7 @@ import numpy as np
 from drivers.wire import pack
 
 ANY = "any"
-"""Where the reason depends on a bit that was flipped by chance."""
+"""Reason of a message with a random bit flipped, which depends on the bit."""
 MOST_BYTES = 8192
 N_JOINTS, N_FINGERS = 8, 2
 _NO_COUNTS: tuple[object, ...] = (-1, 2**63, 2**64 - 1, 0.5, float("nan"), "0", None, True, [0])
@@ -32,10 +32,9 @@ class Hostile(NamedTuple):
 
 
 class HostileMessages:
-    """Draws messages for a host whose boot id and lease are known, as every viewer knows them.
+    """Draws messages for a host whose boot id and lease are known, as they are to every viewer.
 
-    None of them is one that the host should take: what is well-formed and has the lease is a
-    repetition.
+    The host must refuse all of them: those that are valid and have the lease are repetitions.
     """
 
     def __init__(self, rng: np.random.Generator, boot: str, token: int) -> None:
@@ -65,13 +64,13 @@ class HostileMessages:
             yield Hostile("cmd", *self._commands[kind]())
 
     def poses(self, count: int) -> Iterator[Hostile]:
-        """Of objects of which this host asked for no poses."""
+        """Poses of objects that are not objects of perception at this host."""
         for _ in range(count):
             body, reason = self._any_of(self._random_bytes, self._random_content, self._pose)
             yield Hostile("object/object0", body, f"object_{reason}")
 
     def stops(self, count: int) -> Iterator[Hostile]:
-        """None of them stops the robot."""
+        """Invalid stops; none of them stops the robot."""
         for _ in range(count):
             body, reason = self._any_of(self._random_bytes, self._random_content, self._stop)
             yield Hostile("stop", body, f"request_{reason}")
@@ -188,7 +187,7 @@ class HostileMessages:
         if self._rng.random() < 0.5:
             return b"\x91" * depth + b"\xc0", "malformed"
         if self._rng.random() < 0.3:
-            # MessagePack still reads this; what describes it must not fail on it.
+            # MessagePack can decode this depth; the error message must not fail on it.
             return b"\x81\xa1v" + b"\x91" * min(depth, 1015) + b"\xc0", "version"
         head = pack(self._command())[1:]
         return b"\x8b" + head + b"\xa1x" + b"\x81\xa1x" * depth + b"\xc0", "malformed"

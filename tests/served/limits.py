@@ -1,4 +1,4 @@
-"""What every state of a served robot must keep to, whatever it is sent."""
+"""Limits that every state of a served robot must keep, whatever messages it gets."""
 
 from __future__ import annotations
 

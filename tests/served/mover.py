@@ -1,7 +1,7 @@
 """A client that keeps a remote robot moving: ``python -m tests.served.mover ENDPOINT [HOW]``.
 
-It prints a line a tick. HOW it ends after 40 ticks: ``never``, ``silent`` (alive, sends nothing
-any more) or ``disconnected`` (the session is closed without a word).
+It prints a line per tick. HOW it ends after 40 ticks: ``never``, ``silent`` (alive, but sends
+nothing more) or ``disconnected`` (the session is closed without releasing the lease).
 """
 
 from __future__ import annotations

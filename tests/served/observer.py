@@ -1,4 +1,4 @@
-"""Watches a served robot without a lease."""
+"""A client that records the states of a served robot, without a lease."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Observer(Closing):
 
     Attributes:
         spec: The robot.
-        seen: States with what the host says besides.
+        seen: States, with the status of the host.
     """
 
     def __init__(self, endpoint: str) -> None:

@@ -1,24 +1,23 @@
-"""A host of fakes behind its real access control, and clients that try everything."""
+"""A fake host behind real access control, and clients that try every message."""
 
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import zenoh
 
+from drivers.closing import Closing
 from drivers.remote.keys import REQUESTS, robot_key
 from drivers.remote.link import LinkOptions, client_config, link_options, open_session
 from iher_robot.host.network.access import gateway_config
 from iher_robot.host.network.certificates import issue, make_authority, make_certificates
 from iher_robot.host.network.security import HostSecurity, read_security
-from tests.served.served_robot import free_port
+from tests.served.served_robot import eventually, free_port
 
 ROBOT = "fetch"
 ROLES = ("operator", "learner", "viewer", "perception")
@@ -30,24 +29,15 @@ def key(*parts: str) -> str:
     return robot_key(ROBOT, *parts)
 
 
-def eventually(condition: Callable[[], bool], patience_s: float = PATIENCE_S) -> bool:
-    deadline = time.monotonic() + patience_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.005)
-    return True
-
-
 @dataclass(frozen=True)
 class Site:
-    """Where a host listens, how it is secured, and how each name logs in there."""
+    """Endpoint and security of a host, and the options with which each name logs in."""
 
     endpoint: str
     security: HostSecurity | None
     options: Callable[[str], LinkOptions]
     stranger: str
-    """Who can log in and has no role."""
+    """Name of a client that can log in and has no role."""
 
 
 def certified_site(folder: Path) -> Site:
@@ -69,7 +59,7 @@ def tls_options(endpoint: str, ca: Path, certificate: Path, private_key: Path) -
 
 
 def forged_options(folder: Path, endpoint: str) -> LinkOptions:
-    """Have an operator certified by another authority, and trust the right one."""
+    """Return options with an operator's certificate of another authority."""
     forged = issue(make_authority(), "operator")
     certificate, private_key = folder / "forged.pem", folder / "forged-key.pem"
     certificate.write_bytes(forged.certificate_pem())
@@ -105,7 +95,7 @@ def open_site() -> Site:
 
 
 def connect(options: LinkOptions, mode: str = "peer") -> zenoh.Session:
-    """Connect as `open_session` does, or in another mode of Zenoh, as an attacker may."""
+    """Connect as `open_session` does, or in another mode of Zenoh, as an attacker could."""
     if mode == "peer":
         return open_session(options)
     config = client_config(options)
@@ -114,8 +104,8 @@ def connect(options: LinkOptions, mode: str = "peer") -> zenoh.Session:
 
 
 @dataclass
-class FakeHost:
-    """Notes what reaches it, and answers every request with ``host``."""
+class FakeHost(Closing):
+    """Records what reaches it, and answers every request with ``host``."""
 
     site: Site
     access_control: bool = True
@@ -135,18 +125,13 @@ class FakeHost:
         self._queryable = self.session.declare_queryable(key("rpc", "*"), self._answer)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         self.session.close()
 
     def stopped_by(self, client: zenoh.Session, mark: bytes) -> bool:
-        """Whether a stop arrives, and so everything that the client had sent before it."""
+        """Send a stop; return whether it arrives, and so every message sent before it."""
         client.put(key("stop"), mark)
-        return eventually(lambda: ("stop", mark) in self.received)
+        return eventually(lambda: ("stop", mark) in self.received, PATIENCE_S)
 
     def _receive(self, sample: zenoh.Sample) -> None:
         name = str(sample.key_expr).removeprefix(key() + "/")
@@ -159,7 +144,7 @@ class FakeHost:
 
 
 def goes_through(host: FakeHost, client: zenoh.Session, patience_s: float = PATIENCE_S) -> set[str]:
-    """Try everything, what is always allowed last, and return what had an effect."""
+    """Send every message, those that are always allowed last, and return those with an effect."""
     host.received.clear()
     host.asked.clear()
     states: list[bytes] = []
@@ -174,7 +159,7 @@ def goes_through(host: FakeHost, client: zenoh.Session, patience_s: float = PATI
 
     def publish_until_seen() -> bool:
         host.session.put(key("state"), b"state")
-        return b"state" in states  # and not only what it put there itself
+        return b"state" in states  # and not only a state that the client published itself
 
     eventually(lambda: ("stop", b"put") in host.received, patience_s)
     eventually(lambda: answered >= set(host.asked) and "stop" in answered, patience_s)

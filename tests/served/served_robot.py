@@ -1,4 +1,4 @@
-"""A host in processes of its own, as ``iher-robot serve`` starts one."""
+"""A host in separate processes, started by ``iher-robot serve``."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
+from drivers.closing import Closing
 from drivers.remote import ZenohDriver, link_options
 
 START_S = 60.0
 PATIENT = ("--deadman", "2")
-"""For tests of something else than the deadman: a busy machine may keep a client waiting."""
+"""Options for tests that do not test the deadman: a busy machine may delay a client."""
 
 
 def free_port() -> int:
@@ -26,13 +26,14 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class ServedRobot:
-    """A host on a port of its own, ended by the ``with`` block whatever became of it.
+class ServedRobot(Closing):
+    """A host on its own port, started and ended by a ``with`` block.
 
     Attributes:
         endpoint: Where it listens.
         memory: Folder that outlives it.
         output: Lines that it printed.
+        drivers: Clients that were made by `driver`.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class ServedRobot:
         self.endpoint = f"tcp/127.0.0.1:{free_port() if port is None else port}"
         self.memory = memory
         self.output: list[str] = []
+        self.drivers: list[ZenohDriver] = []
         self._options = options
         self._path = path or os.environ.get("PYTHONPATH", "")
         self._process: subprocess.Popen[str] | None = None
@@ -57,9 +59,10 @@ class ServedRobot:
         return sorted(spawned)[("run_robot", "run_gateway").index(name)]
 
     def driver(self, scene: str = "push", **options: object) -> ZenohDriver:
-        """Make a client; its time-outs bear a machine that is busy with other tests."""
+        """Make a client whose timeouts bear a busy machine."""
         settings: dict[str, object] = {"connect": [self.endpoint], "timeout_s": 2.0}
-        return ZenohDriver(link_options(settings | options), scene)
+        self.drivers.append(ZenohDriver(link_options(settings | options), scene))
+        return self.drivers[-1]
 
     def start(self) -> None:
         command = [sys.executable, "-m", "iher_robot", "serve", "--listen", self.endpoint]
@@ -87,7 +90,7 @@ class ServedRobot:
         return self._process.wait(timeout_s)
 
     def kill(self) -> None:
-        """End it without a word."""
+        """Kill the process, without an orderly end."""
         assert self._process is not None
         self._process.kill()
         self._process.wait(10.0)
@@ -96,12 +99,7 @@ class ServedRobot:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         assert self._process is not None
         if self._process.poll() is None:
             self.signal(signal.SIGCONT)
@@ -121,7 +119,7 @@ class ServedRobot:
 
 
 def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
-    """Whether a condition comes true in time."""
+    """Wait for a condition; return whether it came true in time."""
     tick = threading.Event()
     for _ in range(round(timeout_s / 0.02)):
         if condition():

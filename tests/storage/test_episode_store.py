@@ -19,8 +19,9 @@ from iher_robot.errors import UserError
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.episode import RecordedTick, StoredEpisode
 from iher_robot.storage.episode_journal import EpisodeIndex
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
-from iher_robot.storage.files import atomic as durable_file
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
+from iher_robot.storage.files.checksum import add_zip_checksum
 from iher_robot.storage.files.lock import FileHeld
 from iher_robot.storage.files.sqlite import Database
 
@@ -124,14 +125,14 @@ def test_foreign_files_are_errors_that_name_them(store: EpisodeStore) -> None:
     with pytest.raises(UserError, match=r"episode-000001\.npz is no episode file"):
         store.load(1)
 
-    path.write_bytes(durable_file.seal_zip(path.read_bytes()))
+    path.write_bytes(add_zip_checksum(path.read_bytes()))
     with pytest.raises(UserError, match=r"episode-000001\.npz is no episode file"):
         store.load(1)
 
     damaged = bytearray((store.directory / "episode-000002.npz").read_bytes()[:-64])
     damaged[-2:] = b"\0\0"
     damaged[len(damaged) // 2] ^= 1
-    path.write_bytes(durable_file.seal_zip(bytes(damaged)))
+    path.write_bytes(add_zip_checksum(bytes(damaged)))
     with pytest.raises(UserError, match=r"episode-000001\.npz is no episode file"):
         store.load(1)
 
@@ -163,7 +164,7 @@ def test_a_gap_is_an_error_that_names_the_missing_file(store: EpisodeStore) -> N
 def test_an_index_that_is_older_than_the_files_is_named(store: EpisodeStore, name: str) -> None:
     store.close()
     shutil.copy(store.path(2), store.directory / name)
-    with pytest.raises(UserError, match=r"index\.sqlite .* put the newest index back"):
+    with pytest.raises(UserError, match=r"index\.sqlite .* restore the newest index"):
         EpisodeStore(store.directory)
 
 

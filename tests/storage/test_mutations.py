@@ -17,14 +17,16 @@ from iher_robot.errors import UserError
 from iher_robot.evaluation.policy_file import load_policy
 from iher_robot.host.persistence import RobotMemory, RobotTotal
 from iher_robot.storage.checkpoint import load_checkpoint
-from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface, read_interface
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import read_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import read_result
+from tests.conftest import WholeRun
 from tests.in_place import as_if_left_there
-from tests.small_runs import EPOCH_MINUTES, run
+from tests.small_runs import EPOCH_MINUTES
 from tests.storage.test_episode_store import make_stored, record
 
 MUTATIONS = int(os.environ.get("IHER_ROBOT_MUTATIONS", "60"))
@@ -85,10 +87,10 @@ MUTATORS: tuple[Mutation, ...] = (
 
 
 @pytest.fixture(scope="module")
-def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def left(tmp_path_factory: pytest.TempPathFactory, whole_run: WholeRun) -> Path:
     """What a run, and processes that were killed, leave behind."""
     folder = tmp_path_factory.mktemp("left")
-    run(folder / "run", EPOCH_MINUTES)
+    shutil.copytree(whole_run(EPOCH_MINUTES), folder / "run")
     killed = folder / "killed"
     killed.mkdir()
     ledger = Ledger(killed / "ledger.sqlite")
@@ -106,7 +108,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     total = RobotTotal(killed, "fetch")
     for _ in range(20):
         total.tick("motion")
-    RobotMemory(killed).count(7)
+    RobotMemory(killed).reserve_ticks(7)
     copied = folder / "as-killed"
     shutil.copytree(killed, copied)  # while they live: as it would be if they were killed now
     for each in (total, store, ledger):

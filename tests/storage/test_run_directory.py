@@ -33,7 +33,7 @@ def test_settings_that_were_changed_are_refused(run: RunDirectory) -> None:
     text = run.config_path.read_text()
     for changed in (text.replace("3", "4"), text.replace("sha256", "sha"), "seed: 3\n", text[1:]):
         run.config_path.write_text(changed)
-        with pytest.raises(UserError, match=r"config\.yaml is not what the run was started with"):
+        with pytest.raises(UserError, match=r"config\.yaml has changed since the run began"):
             RunDirectory.open(run.path)
 
 
@@ -52,7 +52,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=r"file is a file; .*--out"):
         RunDirectory.create(tmp_path / "file", "")
-    with pytest.raises(UserError, match=r"cannot make run folder .*file/below.*--out"):
+    with pytest.raises(UserError, match=r"cannot create run folder .*file/below.*--out"):
         RunDirectory.create(tmp_path / "file" / "below", "")
 
 

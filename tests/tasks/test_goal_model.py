@@ -87,7 +87,7 @@ def test_rewards_and_success_meet_at_the_threshold(model: GoalModel) -> None:
     np.testing.assert_array_equal(model.is_success(origin, beside), [1.0, 0.0, 0.0])
 
 
-def test_completing_leaves_its_input_and_what_is_not_derived_alone() -> None:
+def test_completing_changes_derived_entries_only_and_copies_its_input() -> None:
     model = goal_model("push")
     array = observations(model, 7)
     obs, tensor = array.copy(), torch.from_numpy(array.copy())

@@ -1,4 +1,4 @@
-"""Maps of the plane: what they keep, where they hold, and that they are maps of space."""
+"""Symmetries of tasks: invariants, the area in which they hold, and geometry of the maps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def declared(name: str) -> PlaneSymmetry:
 
 
 def area(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of the even area. ``(2,)`` each"""
+    """Return lower and upper corner of the even area. ``(2,)`` each"""
     bound = task(name)
     lower, upper = bound.frame.even_area
     home = np.array(bound.home[:2])
@@ -114,7 +114,7 @@ def test_a_step_that_is_not_all_inside_the_area_is_its_own_image(name: str, seed
 
 
 @given(NAMES, SEEDS)
-def test_images_of_what_is_inside_stay_inside(name: str, seed: int) -> None:
+def test_images_of_points_inside_the_area_stay_inside(name: str, seed: int) -> None:
     start, _, end, uniform = steps(name, seed)
     maps = declared(name).choose(uniform, start, end)
     images = maps.observation(start), maps.observation(end)
@@ -182,7 +182,7 @@ def test_motions_are_mapped_as_the_places_between_which_they_lead(name: str, see
 
 
 def mirrors(*signs: float, diagonal: bool = False) -> tuple[np.ndarray, PlaneMap[Any]]:
-    """A reflection or turn of space, and the map that claims to be it, one row."""
+    """Return a reflection or rotation of space, and the map that should equal it, one row."""
     sign = np.array(signs)
     space = np.diag(sign)[:, [1, 0, 2]] if diagonal else np.diag(sign)
     exchanged = np.full((1, 1), float(diagonal))
@@ -222,7 +222,7 @@ def test_angles_and_angular_velocities_are_those_of_the_mirrored_body(
 
 
 @given(st.sampled_from([(1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)]), SEEDS)
-def test_so_are_those_of_a_body_that_lies_flat_and_is_mirrored_in_the_diagonal(
+def test_angles_of_a_flat_body_are_those_of_its_diagonal_reflection(
     signs: tuple[float, float, float], seed: int
 ) -> None:
     space, maps = mirrors(*signs, diagonal=True)
@@ -246,7 +246,7 @@ def test_so_are_those_of_a_body_that_lies_flat_and_is_mirrored_in_the_diagonal(
     ("rough", "kind", "expected"),
     [(False, "ee_delta", 0.0), (True, "ee_delta", 0.5), (True, "joint", 0.0)],
 )
-def test_rough_maps_are_for_who_asks_for_them_and_a_robot_that_moves_alike_in_x_and_y(
+def test_rough_maps_need_a_request_and_end_effector_commands(
     rough: bool, kind: str, expected: float
 ) -> None:
     robot = dataclasses.replace(fake_spec(), command_kinds=(kind,))

@@ -1,7 +1,7 @@
-"""The simulated robot does with the image what the image of it says: how nearly, and where.
+"""Errors of the tasks' symmetries in simulation.
 
-A map of the learner's speaks for one control tick, so that ticks are compared: two simulators
-begin nearly as images of each other, and the errors are those of the changes in a tick.
+The learner maps single control ticks, so that ticks are compared: two simulators start nearly as
+images of each other, and the errors are those of the changes in a tick.
 """
 
 from __future__ import annotations

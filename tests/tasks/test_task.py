@@ -38,7 +38,7 @@ def test_binding_leaves_the_first_task_free() -> None:
     assert bound.spec.control_period_s == 0.04
 
 
-def test_a_robot_that_does_not_see_the_object_is_refused() -> None:
+def test_a_robot_without_the_object_is_refused() -> None:
     blind = dataclasses.replace(fake_spec(), objects={})
     with pytest.raises(MissingObject, match="needs object 'object0', fake reports: none"):
         make_task("push").bind(blind)

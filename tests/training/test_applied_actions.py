@@ -52,7 +52,7 @@ def held_out_error_m(fitted: EpisodeReplay, unseen: EpisodeReplay) -> float:
     generator = torch.Generator().manual_seed(1)
     ensemble.fit_normalizers(fitted, generator)
     ensemble.train(fitted, 1500, batch_size=256, generator=generator)
-    observation, action, following = unseen.steps(*unseen.every_step())
+    observation, action, following = unseen.steps(*unseen.all_indices())
     delta = ensemble.predict(observation, action)[0]
     error = ensemble.next_observation(observation, delta) - following
     return float(error[:, :3].square().sum(-1).mean().sqrt())

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from iher_robot.config.run import load_config
 from iher_robot.storage.accounts import read_accounts
-from iher_robot.storage.episode_store import CUT_OFF, EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.training.recovery import restore
 from iher_robot.training.train import resume
+from tests.forked import run_forked
 from tests.small_runs import metrics, motion_ticks, stored_ticks
 from tests.storage.test_episode_store import make_stored, record
 
@@ -26,6 +26,7 @@ CONFIG = load_config("reach", preset="paper")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
+from tests.forked import run_forked
 from tests.small_runs import run
 
 module, owner, name, call = sys.argv[2].split()
@@ -46,10 +47,10 @@ run(Path(sys.argv[1]), 0.1001)
 """
 
 
-def kill_at(out: Path, place: str) -> None:
+def kill_at(out: Path, place: str, program: str = KILLED) -> None:
     """Run until a function is called for the given time, and kill the process there."""
-    done = subprocess.run([sys.executable, "-c", KILLED, str(out), place], check=False)
-    assert done.returncode == -signal.SIGKILL
+    done = run_forked(program, str(out), place)
+    assert done.returncode == -signal.SIGKILL, done.stderr
 
 
 # What is called when, how many ticks have begun by then, and how many are in the store.
@@ -100,17 +101,8 @@ def test_a_crash_of_the_machine_in_a_simulated_episode_counts_all_that_was_reser
 def test_a_run_that_is_killed_in_its_last_tick_can_be_ended(tmp_path: Path) -> None:
     """Its budget is spent, and its last epoch was not one to evaluate."""
     out = tmp_path / "run"
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            KILLED.replace("0.1001)", "0.0674, 'evaluation.every_epochs=2')"),
-            str(out),
-            "iher_robot.env.goal_env GoalRobotEnv _run_tick 101",
-        ],
-        check=False,
-    )
-    assert done.returncode == -signal.SIGKILL
+    program = KILLED.replace("0.1001)", "0.0674, 'evaluation.every_epochs=2')")
+    kill_at(out, "iher_robot.env.goal_env GoalRobotEnv _run_tick 101", program)
     assert motion_ticks(out) == 101
     result = resume(out, display=False)
     assert math.isnan(result.success_rate)

@@ -20,7 +20,7 @@ from iher_robot.env import goal_env as goal_env_module
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.learning.learner import Learner
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
@@ -356,10 +356,12 @@ def test_the_meaning_of_the_budget_says_how_long_the_robot_moves(
     config = load_config("reach", preset="paper", overrides=overrides, driver="fake", device="cpu")
     with open_training_setup(config) as setup:
         assert setup.simulator is None
-        simulated = setup.describe_budget(setup.budget_ticks, 0)
+        simulated = setup.describe_budget(setup.budget, setup.budget.with_ticks(0))
         monkeypatch.setattr(RemoteRobot, "paces_itself", True)
-        meaning = setup.describe_budget(setup.budget_ticks, 0)
-        later = setup.describe_budget(setup.budget_ticks + 1000, 3000)
+        meaning = setup.describe_budget(setup.budget, setup.budget.with_ticks(0))
+        later = setup.describe_budget(
+            setup.budget.with_ticks(setup.budget.ticks + 1000), setup.budget.with_ticks(3000)
+        )
     # 3,000 ticks are 60 episodes, in epochs of two; each of 30 evaluations has 200 ticks.
     assert "60 episodes of up to 50" in meaning
     assert "on the robot, on an account of its own, 4 episodes each time, about 120 in" in meaning

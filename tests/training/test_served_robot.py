@@ -7,8 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from iher_robot.storage.ledger import Ledger
 from tests.served.served_robot import PATIENT, ServedRobot, eventually, free_port
+
+pytestmark = pytest.mark.real_time
 
 BUDGET_MINUTES = 0.12
 BUDGET_TICKS = 180

@@ -25,11 +25,13 @@ from iher_robot.evaluation.policy_file import load_policy
 from iher_robot.evaluation.success_rate import Evaluation
 from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.recorder import Recorder
+from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.checkpoint import load_checkpoint
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.train import resume, train
+from tests.conftest import WholeRun
 from tests.small_runs import (
     EPOCH_MINUTES,
     TINY,
@@ -57,13 +59,14 @@ def test_the_budget_is_spent_to_the_last_tick_and_every_tick_is_kept(tmp_path: P
     assert result.robot_minutes == pytest.approx(0.05)
 
 
-def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(tmp_path: Path) -> None:
-    run(tmp_path / "run", EPOCH_MINUTES)
-    (row,) = metrics(tmp_path / "run")
+def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(
+    whole_run: WholeRun,
+) -> None:
+    out = whole_run(EPOCH_MINUTES)
+    (row,) = metrics(out)
     assert row["imagined_transitions"] == 2 * 2 * 50
-    assert row["real_transitions"] == stored_ticks(tmp_path / "run") == 100
-    with Ledger(tmp_path / "run" / "ledger.sqlite") as ledger:
-        assert ledger.spent_ticks("evaluation") == 0
+    assert row["real_transitions"] == stored_ticks(out) == 100
+    assert read_accounts(out / "ledger.sqlite").spent["evaluation"] == 0
 
 
 @pytest.mark.parametrize(
@@ -79,6 +82,7 @@ def test_imagined_and_evaluation_episodes_cost_nothing_and_are_not_stored(tmp_pa
             "overrides": [
                 "learner.schedule.real_rollouts=2",
                 "learner.schedule.updates_per_step=0.1",
+                "learner.contact.updates_per_step=0.5",
                 "evaluation.every_epochs=1",
             ],
         },
@@ -370,8 +374,8 @@ def test_bad_settings_leave_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_the_display_changes_nothing(tmp_path: Path) -> None:
-    run(tmp_path / "quiet", EPOCH_MINUTES)
+def test_the_display_changes_nothing(tmp_path: Path, whole_run: WholeRun) -> None:
+    quiet = whole_run(EPOCH_MINUTES)
     train(
         task="reach",
         preset="paper",
@@ -381,7 +385,7 @@ def test_the_display_changes_nothing(tmp_path: Path) -> None:
         until_success=None,
         device="cpu",
     )
-    assert metrics(tmp_path / "quiet") == metrics(tmp_path / "shown")
+    assert metrics(quiet) == metrics(tmp_path / "shown")
 
 
 def test_a_run_goes_on_with_the_robot_that_it_began_with(tmp_path: Path) -> None:
@@ -445,12 +449,11 @@ def test_the_running_mean_is_what_is_evaluated_and_kept(tmp_path: Path) -> None:
         assert not torch.equal(kept[name], learner["policy"]["actor"][name])
 
 
-def test_seeds_decide_a_run(tmp_path: Path) -> None:
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        run(tmp_path / name, EPOCH_MINUTES, seed=seed)
-    assert metrics(tmp_path / "a") == metrics(tmp_path / "b")
-    assert metrics(tmp_path / "a") != metrics(tmp_path / "c")
-    first, second = (
-        next(iter(EpisodeReader(tmp_path / name / "episodes"))).episode for name in ("a", "c")
-    )
+def test_seeds_decide_a_run(tmp_path: Path, whole_run: WholeRun) -> None:
+    one, same, other = whole_run(EPOCH_MINUTES), tmp_path / "same", tmp_path / "other"
+    run(same, EPOCH_MINUTES, seed=0)
+    run(other, EPOCH_MINUTES, seed=2)
+    assert metrics(one) == metrics(same)
+    assert metrics(one) != metrics(other)
+    first, second = (next(iter(EpisodeReader(out / "episodes"))).episode for out in (one, other))
     assert not np.array_equal(first.desired_goal, second.desired_goal)

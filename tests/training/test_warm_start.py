@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.storage.episode_store import EpisodeReader, EpisodeStore
+from iher_robot.storage.episode_reader import EpisodeReader
+from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface, read_interface
 from iher_robot.training.display import TrainingDisplay
 from iher_robot.training.train import resume, train
+from tests.conftest import WholeRun
 from tests.small_runs import (
     EPOCH_MINUTES,
     TINY,
@@ -24,10 +26,8 @@ from tests.small_runs import (
 
 
 @pytest.fixture(scope="module")
-def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("earlier") / "run"
-    run(out, 2 * EPOCH_MINUTES)
-    return out
+def earlier(whole_run: WholeRun) -> Path:
+    return whole_run(2 * EPOCH_MINUTES)
 
 
 def test_earlier_data_are_learned_from_before_the_robot_moves(

@@ -16,7 +16,7 @@ from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.report.columns import EVALUATION_COLUMNS, VERSIONS
 from iher_robot.storage.files.atomic import read_file
-from iher_robot.storage.files.lock import is_held
+from iher_robot.storage.files.lock import is_locked
 from iher_robot.storage.provenance import read_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import RunResult, read_result
@@ -69,7 +69,7 @@ def _state(folder: ExperimentFolder, identity: Identity, result: RunResult | Non
     """State of a cell, and the reason of a failure."""
     if result is not None:
         return {"state": "finished"}
-    if is_held(folder.lock(identity.name)):
+    if is_locked(folder.lock(identity.name)):
         return {"state": "running"}
     failure = folder.failure(identity.name)
     if failure.exists():

@@ -1,4 +1,4 @@
-"""What each role may send to a host and hear from it, as Zenoh enforces it."""
+"""Zenoh configuration of a host: endpoints, and access control by role."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ FOR_OPERATORS = ("clear_fault",)
 FOR_MOVERS = tuple(name for name in REQUESTS if name not in FOR_EVERYBODY + FOR_OPERATORS)
 
 _GRANTS: Mapping[str, tuple[str, ...]] = {
-    "operator": ("watch", "move", "clear", "see"),
+    "operator": ("watch", "move", "clear", "perceive"),
     "learner": ("watch", "move"),
     "viewer": ("watch",),
-    "perception": ("watch", "see"),
+    "perception": ("watch", "perceive"),
 }
-"""What each role is granted; the names are those of `_rules`."""
+"""Groups of rules by role, named as in `_rules`."""
 
-_UNKNOWN = "anybody"
+_EVERYBODY = "anybody"
+"""Role of all clients of a host without security."""
 
 
 def gateway_config(
     robot: str, listen: Sequence[str], security: HostSecurity | None, insecure: bool
 ) -> zenoh.Config:
-    """Return the configuration of a host's only session.
+    """Return the configuration of a host's Zenoh session.
 
     Args:
         robot: Name of the robot.
         listen: Zenoh endpoints to listen on.
-        security: How clients prove who they are; None for not at all: then whoever reaches the
-            host may do what an operator may, and still nobody can pass for the host.
-        insecure: Whether that is accepted beyond this machine.
+        security: Authentication and roles. None for no authentication: then every client has the
+            rights of an operator, but still cannot impersonate the host.
+        insecure: Whether to accept that beyond this machine.
 
     Raises:
-        UserError: An endpoint is none, or has not the protection that it needs.
-        InvalidSpec: It is no name of a robot.
+        UserError: An endpoint is malformed, or lacks the protection that it needs.
+        InvalidSpec: The name is not allowed for a robot.
     """
     _check_endpoints(listen)
     check_listening(tuple(listen), security, insecure)
@@ -76,12 +77,12 @@ def _access_control(robot: str, security: HostSecurity | None) -> dict[str, obje
     subjects: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []
     if security is None:
-        members: Mapping[str, tuple[str, ...]] = {_UNKNOWN: ()}
+        members: Mapping[str, tuple[str, ...]] = {_EVERYBODY: ()}
     else:
         members = security.roles.names()
     for role, names in members.items():
         found = list(_subjects(role, names, security))
-        rules = _GRANTS["operator" if role == _UNKNOWN else role]
+        rules = _GRANTS["operator" if role == _EVERYBODY else role]
         subjects += found
         policies.append({"rules": _ids(robot, rules), "subjects": [each["id"] for each in found]})
     return {
@@ -96,7 +97,7 @@ def _access_control(robot: str, security: HostSecurity | None) -> dict[str, obje
 def _subjects(
     role: str, names: tuple[str, ...], security: HostSecurity | None
 ) -> Iterable[dict[str, object]]:
-    """Say by what a role's members are known. In one subject Zenoh would ask for both at once."""
+    """Return Zenoh's subjects of a role: one for each way to log in, since one would need both."""
     if security is None:
         yield {"id": role}
         return
@@ -123,27 +124,27 @@ def _rules(robot: str) -> dict[str, list[dict[str, object]]]:
     alive, host = keys("alive/*"), keys("alive/host")
     return {
         "watch": [
-            _rule("hear", "ingress", ["declare_subscriber"], keys("state", "fault")),
-            _rule("be told", "egress", ["put"], keys("state", "fault")),
+            _rule("subscribe to states", "ingress", ["declare_subscriber"], keys("state", "fault")),
+            _rule("receive states", "egress", ["put"], keys("state", "fault")),
             _rule("stop", "ingress", ["put"], keys("stop")),
             _rule("take stops", "egress", ["declare_subscriber"], keys("stop")),
-            _rule("ask", "ingress", ["query"], requests(FOR_EVERYBODY)),
-            _rule("answer", "egress", ["declare_queryable", "reply"], keys("rpc/*")),
-            _rule("live", "ingress", ["liveliness_token"], alive),
-            _rule("not the host", "ingress", ["liveliness_token"], host, "deny"),
-            _rule("host lives", "egress", ["liveliness_token"], host),
-            _rule("see who lives", "ingress", _LIVELINESS, alive),
-            _rule("host sees who lives", "egress", _LIVELINESS, alive),
+            _rule("request", "ingress", ["query"], requests(FOR_EVERYBODY)),
+            _rule("reply", "egress", ["declare_queryable", "reply"], keys("rpc/*")),
+            _rule("announce", "ingress", ["liveliness_token"], alive),
+            _rule("not as the host", "ingress", ["liveliness_token"], host, "deny"),
+            _rule("host announces", "egress", ["liveliness_token"], host),
+            _rule("watch liveliness", "ingress", _LIVELINESS, alive),
+            _rule("host watches liveliness", "egress", _LIVELINESS, alive),
         ],
         "move": [
             _rule("command", "ingress", ["put"], keys("cmd")),
             _rule("take commands", "egress", ["declare_subscriber"], keys("cmd")),
-            _rule("ask to move", "ingress", ["query"], requests(FOR_MOVERS)),
+            _rule("request motion", "ingress", ["query"], requests(FOR_MOVERS)),
         ],
-        "clear": [_rule("ask to clear", "ingress", ["query"], requests(FOR_OPERATORS))],
-        "see": [
-            _rule("object", "ingress", ["put"], keys("object/*")),
-            _rule("take objects", "egress", ["declare_subscriber"], keys("object/*")),
+        "clear": [_rule("clear faults", "ingress", ["query"], requests(FOR_OPERATORS))],
+        "perceive": [
+            _rule("publish poses", "ingress", ["put"], keys("object/*")),
+            _rule("take poses", "egress", ["declare_subscriber"], keys("object/*")),
         ],
     }
 

@@ -1,4 +1,4 @@
-"""A development authority with certificates for a host and its clients."""
+"""Makes a development certificate authority, and certificates of a host and its clients."""
 
 from __future__ import annotations
 
@@ -20,27 +20,22 @@ from iher_robot.config.yaml import format_yaml
 from iher_robot.errors import UserError
 
 CLIENTS = ("operator", "learner", "viewer", "perception")
-"""One for each role."""
+"""Default names of clients, one for each role."""
 
 HOST = "host"
 _AUTHORITY = "authority"
 _ALWAYS = ("localhost", "127.0.0.1", "::1")
 _VALID = timedelta(days=365)
 _BACKDATED = timedelta(hours=1)
-"""Clocks of two machines differ."""
+"""Bears a difference between the clocks of two machines."""
 _PORT = 7447
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,63}")
 _HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 
 
 @dataclass(frozen=True)
-class Certified:
-    """Somebody with a certificate.
-
-    Attributes:
-        certificate: The certificate.
-        key: Its private key.
-    """
+class CertifiedKey:
+    """A certificate with its private key."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
@@ -57,18 +52,18 @@ class Certified:
 def make_certificates(
     folder: Path, hosts: Sequence[str] = (), names: Sequence[str] = CLIENTS
 ) -> tuple[Path, ...]:
-    """Make an authority, and a folder with all that it needs for the host and for each client.
+    """Make an authority, and a folder with the files of the host and of each client.
 
     Args:
-        folder: Where; made if missing.
-        hosts: Names and addresses of the host's machine, besides those of this one's loopback.
-        names: Clients. One that has the name of a role gets it; others are viewers.
+        folder: Gets the folders; created if it does not exist.
+        hosts: Names and addresses of the host's machine, in addition to those of loopback.
+        names: Names of clients. A client named as a role has that role; others are viewers.
 
     Returns:
-        The files, in the order of their making.
+        The files, in the order in which they are written.
 
     Raises:
-        UserError: A name is not allowed, or a file is there already; then nothing is written.
+        UserError: A name is not allowed, or a file exists; then nothing is written.
     """
     _check_names(hosts, names)
     authority = make_authority()
@@ -76,17 +71,17 @@ def make_certificates(
     files = {
         f"{_AUTHORITY}/ca.pem": authority.certificate_pem(),
         f"{_AUTHORITY}/ca-key.pem": authority.key_pem(),
-        **_side(HOST, authority, issue(authority, HOST, reached)),
+        **_client_files(HOST, authority, issue(authority, HOST, reached)),
         f"{HOST}/security.yaml": _security_yaml(names),
     }
     for name in dict.fromkeys(names):
-        files |= _side(name, authority, issue(authority, name))
+        files |= _client_files(name, authority, issue(authority, name))
         files[f"{name}/robot.yaml"] = _robot_yaml(hosts[0] if hosts else _ALWAYS[0])
     return _write(folder, files)
 
 
-def make_authority() -> Certified:
-    """Make a certificate authority, which signs for one year."""
+def make_authority() -> CertifiedKey:
+    """Make a certificate authority that is valid for one year."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = _common_name("iher-robot development authority")
     certificate = (
@@ -95,16 +90,16 @@ def make_authority() -> Certified:
         .add_extension(_key_usage(signs=True), critical=True)
         .sign(key, hashes.SHA256())
     )
-    return Certified(certificate, key)
+    return CertifiedKey(certificate, key)
 
 
-def issue(authority: Certified, name: str, hosts: Sequence[str] = ()) -> Certified:
-    """Certify somebody for one year.
+def issue(authority: CertifiedKey, name: str, hosts: Sequence[str] = ()) -> CertifiedKey:
+    """Issue a certificate that is valid for one year.
 
     Args:
-        authority: Who signs.
+        authority: Signs it.
         name: Common name.
-        hosts: Names and addresses under which a host is reached; none for a client.
+        hosts: Names and addresses of a host; none for a client.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     usage = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
@@ -124,7 +119,7 @@ def issue(authority: Certified, name: str, hosts: Sequence[str] = ()) -> Certifi
         )
         .sign(authority.key, hashes.SHA256())
     )
-    return Certified(certificate, key)
+    return CertifiedKey(certificate, key)
 
 
 def _builder(
@@ -168,7 +163,7 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _side(name: str, authority: Certified, certified: Certified) -> dict[str, bytes]:
+def _client_files(name: str, authority: CertifiedKey, certified: CertifiedKey) -> dict[str, bytes]:
     return {
         f"{name}/ca.pem": authority.certificate_pem(),
         f"{name}/certificate.pem": certified.certificate_pem(),
@@ -198,8 +193,8 @@ def _check_names(hosts: Sequence[str], names: Sequence[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name) or name in (HOST, _AUTHORITY):
             raise UserError(
-                f"--name is {name!r}, allowed: up to 64 small letters, digits, _ . and -, the "
-                f"first no sign, and neither {HOST} nor {_AUTHORITY}"
+                f"--name is {name!r}, allowed: up to 64 lowercase letters, digits, _ . and -, "
+                f"starting with a letter or digit, but not {HOST} or {_AUTHORITY}"
             )
     for host in hosts:
         try:
@@ -215,14 +210,14 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> tuple[Path, ...]:
     for name in files:
         if (path := folder / name).exists() or path.is_symlink():
             raise UserError(
-                f"{path} is there already and is not overwritten; name another folder, or remove it"
+                f"{path} exists and is not overwritten; name another folder, or remove the file"
             )
     try:
         for name, content in files.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             mode = 0o600 if name.endswith("key.pem") else 0o644
-            # Never open to others, not even for a moment.
+            # With its mode from the start, so that no other user can read a key in between.
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
             with os.fdopen(descriptor, "wb") as file:
                 file.write(content)

@@ -1,4 +1,4 @@
-"""The gateway of a host: the only process of it that the network reaches."""
+"""The gateway of a host: its only process with a network connection."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from drivers.remote.keys import robot_key
 from drivers.remote.messages import ObjectMessage, StopRequest, unpack_command
 from drivers.remote.publishing import real_time_publisher
 from drivers.wire import MAX_BYTES, Message, WireError, unpack
-from iher_robot.host.network.channels import Arrivals, Channel, Note
+from iher_robot.host.network.channels import Channel, ChannelMessage, ReceiveQueue
 
 log = logging.getLogger(__name__)
 
-_WAITING = 1024
-"""Messages of one kind that may wait: more than are dealt with before a command expires."""
-_REQUESTS = 256
-_COMMAND_BYTES = 8192
-_OTHER_BYTES = MAX_BYTES // 8
-_TELL_AFTER = 64
+_MAX_WAITING = 1024
+"""Messages of one kind that may wait: more than are handled before a command expires."""
+_MAX_REQUESTS = 256
+_MAX_COMMAND_BYTES = 8192
+_MAX_OTHER_BYTES = MAX_BYTES // 8
+_REPORT_AFTER = 64
 _END_S = 1.0
 
 
 class Gateway:
-    """Carries messages between Zenoh and the robot process.
+    """Forwards messages between Zenoh and the robot process.
 
-    It sorts out what is no message, and commands that cannot be meant for this robot now, so that
-    a flood of them costs the control loop nothing; the loop checks everything again.
+    It refuses malformed messages, and commands without the lease or to another boot of the host,
+    so that a flood of them costs the control loop no time. The loop checks everything again.
     """
 
     def __init__(self, session: zenoh.Session, robot: str, channel: Channel) -> None:
-        """Declare what the host publishes, hears and answers.
+        """Declare the host's publishers, subscribers and queryables.
 
         Args:
-            session: Listening.
+            session: Zenoh session that listens.
             robot: Name of the robot.
             channel: To the robot process.
         """
@@ -47,32 +47,36 @@ class Gateway:
         self._robot = robot
         self._channel = channel
         self._expected: tuple[str, int] = ("", 0)
-        self._refused: Counter[str] = Counter()
+        self._unreported: Counter[str] = Counter()
         self._queries: dict[int, zenoh.Query] = {}
-        self._asked = 0
+        self._request_count = 0
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
         self._states = real_time_publisher(session, self._key("state"))
         self._faults = real_time_publisher(session, self._key("fault"))
         self._alive = session.liveliness().declare_token(self._key("alive", "host"))
-        hear = session.declare_subscriber
-        self._wait_for("cmd", hear, self._command, _WAITING, _COMMAND_BYTES, "")
-        self._wait_for("stop", hear, self._stop, _WAITING, _OTHER_BYTES, "request_")
-        self._wait_for("object/*", hear, self._object, _WAITING, _OTHER_BYTES, "object_")
-        answer = session.declare_queryable
-        self._wait_for("rpc/*", answer, self._request, _REQUESTS, _OTHER_BYTES, "request_")
+        subscribe = session.declare_subscriber
+        self._receive("cmd", subscribe, self._command, _MAX_WAITING, _MAX_COMMAND_BYTES, "")
+        self._receive("stop", subscribe, self._stop, _MAX_WAITING, _MAX_OTHER_BYTES, "request_")
+        self._receive(
+            "object/*", subscribe, self._object, _MAX_WAITING, _MAX_OTHER_BYTES, "object_"
+        )
+        queryable = session.declare_queryable
+        self._receive(
+            "rpc/*", queryable, self._request, _MAX_REQUESTS, _MAX_OTHER_BYTES, "request_"
+        )
 
     def run(self) -> None:
-        """Carry what the robot process says, until it ends."""
-        while (note := self._channel.receive()) is not None:
-            if note.kind == "state":
-                self._expected = (note.name, note.number)
-                self._states.put(note.body)
-            elif note.kind == "fault":
-                self._faults.put(note.body)
-            elif note.kind == "reply":
-                self._reply(note.number, note.name, note.body)
-        self._session.close()  # which ends what waits for it
+        """Publish states and send replies of the robot process until it ends."""
+        while (message := self._channel.receive()) is not None:
+            if message.kind == "state":
+                self._expected = (message.name, message.number)
+                self._states.put(message.body)
+            elif message.kind == "fault":
+                self._faults.put(message.body)
+            elif message.kind == "reply":
+                self._reply(message.number, message.name, message.body)
+        self._session.close()  # ends the threads that wait for it
         for thread in self._threads:
             thread.join(_END_S)
 
@@ -89,29 +93,31 @@ class Gateway:
         elif not token or message.token != token:
             self._refuse("wrong_token")
         else:
-            self._tell()
-            self._pass_on(Note("command", body=body), "")
+            self._report_refusals()
+            self._forward(ChannelMessage("command", body=body), "")
 
     def _stop(self, sample: zenoh.Sample) -> None:
-        self._checked(StopRequest, Note("stop", body=sample.payload.to_bytes()), "request_")
+        self._forward_valid(
+            StopRequest, ChannelMessage("stop", body=sample.payload.to_bytes()), "request_"
+        )
 
     def _object(self, sample: zenoh.Sample) -> None:
         name = str(sample.key_expr).rsplit("/", 1)[-1]
-        note = Note("object", name=name, body=sample.payload.to_bytes())
-        self._checked(ObjectMessage, note, "object_")
+        message = ChannelMessage("object", name=name, body=sample.payload.to_bytes())
+        self._forward_valid(ObjectMessage, message, "object_")
 
     def _request(self, query: zenoh.Query) -> None:
-        self._tell()
+        self._report_refusals()
         name = str(query.key_expr).rsplit("/", 1)[-1]
         with self._lock:
-            self._asked += 1
-            number = self._asked
+            self._request_count += 1
+            number = self._request_count
             self._queries[number] = query
-            if len(self._queries) > _REQUESTS:
+            if len(self._queries) > _MAX_REQUESTS:
                 del self._queries[next(iter(self._queries))]
         body = b"" if query.payload is None else query.payload.to_bytes()
-        note = Note("request", number, name, body)
-        if not self._pass_on(note, "request_"):
+        message = ChannelMessage("request", number, name, body)
+        if not self._forward(message, "request_"):
             with self._lock:
                 self._queries.pop(number, None)
 
@@ -121,60 +127,69 @@ class Gateway:
         if query is None:
             return
         try:
-            with query:  # leaving it tells the client that there is no other answer
+            with query:  # its end tells the client that no other reply follows
                 query.reply(self._key("rpc", name), body, express=True)
         except zenoh.ZError as error:
-            log.warning("the answer to %s could not be sent: %s", name, error)
+            log.warning("the reply to %s could not be sent: %s", name, error)
 
     def _refuse(self, reason: str) -> None:
         with self._lock:
-            self._refused[reason] += 1
-            full = self._refused.total() >= _TELL_AFTER
+            self._unreported[reason] += 1
+            full = self._unreported.total() >= _REPORT_AFTER
         if full:
-            self._tell()
+            self._report_refusals()
 
-    def _tell(self) -> None:
-        """Report what was refused here, many at once."""
+    def _report_refusals(self) -> None:
+        """Send the counts of refusals to the robot process."""
         with self._lock:
-            refused, self._refused = self._refused, Counter()
+            refused, self._unreported = self._unreported, Counter()
         for reason, count in refused.items():
-            if not self._channel.send(Note("refused", count, reason)):
+            if not self._channel.send(ChannelMessage("refused", count, reason)):
                 with self._lock:
-                    self._refused[reason] += count
+                    self._unreported[reason] += count
 
-    def _checked(self, model: type[Message], note: Note, kind: str) -> None:
-        """Pass on what is a message of this kind."""
+    def _forward_valid(self, model: type[Message], message: ChannelMessage, prefix: str) -> None:
+        """Forward a message if it is valid."""
         try:
-            unpack(model, note.body)
+            unpack(model, message.body)
         except WireError as error:
-            self._refuse(kind + error.reason)
+            self._refuse(prefix + error.reason)
         else:
-            self._pass_on(note, kind)
+            self._forward(message, prefix)
 
-    def _pass_on(self, note: Note, kind: str) -> bool:
-        sent = self._channel.send(note)
+    def _forward(self, message: ChannelMessage, prefix: str) -> bool:
+        sent = self._channel.send(message)
         if not sent:
-            self._refuse(f"{kind}overrun")
+            self._refuse(f"{prefix}overrun")
         return sent
 
-    def _wait_for(
+    def _receive(
         self,
         name: str,
         declare: Callable[..., Any],
         take: Callable[[Any], None],
-        most: int,
-        most_bytes: int,
-        kind: str,
+        max_waiting: int,
+        max_bytes: int,
+        prefix: str,
     ) -> None:
-        """Deal with the messages of a key, in threads of their own."""
-        arrivals = Arrivals(
+        """Receive and handle the messages of a key, in separate threads.
+
+        Args:
+            name: The key, below the robot's.
+            declare: Declares a subscriber or queryable.
+            take: Handles a message.
+            max_waiting: Most messages that may wait.
+            max_bytes: Greatest length of a message.
+            prefix: Of the reasons under which refusals are counted.
+        """
+        received = ReceiveQueue(
             partial(declare, self._key(name)),
-            most,
-            most_bytes,
-            lambda reason: self._refuse(kind + reason),
+            max_waiting,
+            max_bytes,
+            lambda reason: self._refuse(prefix + reason),
         )
-        self._start(f"{name} arrive", arrivals.collect)
-        self._start(name, arrivals.deal, take)
+        self._start(f"{name} receive", received.collect)
+        self._start(name, received.handle, take)
 
     def _start(self, name: str, target: Callable[..., None], *arguments: object) -> None:
         thread = threading.Thread(target=target, args=arguments, daemon=True, name=name)

@@ -1,8 +1,7 @@
-"""Who may do what with a served robot: the file of ``iher-robot serve --security``."""
+"""Authentication and roles of a served robot: the file of ``iher-robot serve --security``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
 
@@ -12,6 +11,8 @@ from drivers.errors import InvalidSpec
 from drivers.names import unknown
 from drivers.remote.certificates import TlsFiles, check_certificates
 from drivers.remote.link import warn_if_others_can_read
+from drivers.validation import describe_problems
+from iher_robot.config.paths import TLS_PATHS, resolve_paths
 from iher_robot.config.yaml import parse_mapping
 from iher_robot.errors import UserError
 from iher_robot.storage.files.atomic import read_file
@@ -24,7 +25,7 @@ class _Section(BaseModel):
 
 
 class Roles(_Section):
-    """Names of users, or common names of certificates, that have a role; one may have several."""
+    """Names of users, or common names of certificates, by role; a name may have several roles."""
 
     operator: tuple[str, ...] = ()
     """May do everything."""
@@ -33,61 +34,61 @@ class Roles(_Section):
     viewer: tuple[str, ...] = ()
     """May watch, and stop."""
     perception: tuple[str, ...] = ()
-    """May watch, stop, and say where objects are."""
+    """May watch, stop, and publish object poses."""
 
     def names(self) -> dict[str, tuple[str, ...]]:
-        """Return the names of each role that somebody has."""
+        """Return the names of each role, without the roles that have none."""
         return {role: names for role in Roles.model_fields if (names := getattr(self, role))}
 
 
 class HostSecurity(_Section):
-    """How clients prove who they are, and what each may do."""
+    """How clients authenticate, and the role of each."""
 
     tls: TlsFiles | None = None
-    """Certificates for mutual TLS: a client's common name is its name."""
+    """Certificates for mutual TLS; a client's name is the common name of its certificate."""
     users: Path | None = None
     """File with a line ``user:password`` for each user."""
     roles: Roles = Field(default=Roles())
-    """Who has which role; anybody else may do nothing."""
+    """Names by role. A client without a role has no rights."""
 
     @model_validator(mode="after")
     def _validate_roles(self) -> HostSecurity:
         names = self.roles.names()
         if self.tls is None and self.users is None:
-            raise ValueError("roles need names that clients can prove; give tls, users or both")
+            raise ValueError("clients have no way to authenticate; give tls, users or both")
         if not names:
             raise ValueError(
-                f"nobody has a role, so nobody could do anything; give {' or '.join(_ROLES)} "
-                "names under roles"
+                f"no client has a role; give names under roles.{' or roles.'.join(_ROLES)}"
             )
         for role, members in names.items():
             if not all(name.strip() for name in members):
-                raise ValueError(f"roles.{role} has an empty name; leave it out")
+                raise ValueError(f"roles.{role} has an empty name; remove it")
         return self
 
 
 _ROLES = tuple(Roles.model_fields)
-_SECTIONS: Mapping[str, type[BaseModel]] = {"tls": TlsFiles, "roles": Roles}
+_PATHS = ("users", *TLS_PATHS)
 
 
 def read_security(path: Path | None) -> HostSecurity | None:
     """Read a security file.
 
     Args:
-        path: The file, which names other files from its own folder; None for none.
+        path: The file, with paths of other files relative to its own folder; None for none.
 
     Raises:
-        UserError: It is missing, or a key or value in it is not allowed, or a file that it names
-            is not what it should be.
+        UserError: It is missing, a key or value in it is not allowed, or a file that it names is
+            missing or invalid.
     """
     if path is None:
         return None
     content = parse_mapping(read_file(path, _KIND), str(path))
     try:
-        security = HostSecurity.model_validate(_beside(path, content))
+        security = HostSecurity.model_validate(resolve_paths(content, path, _PATHS))
     except ValidationError as error:
-        details = error.errors(include_url=False, include_context=False)
-        raise UserError(f"{path}: " + "; ".join(map(_sentence, details))) from None
+        raise UserError(
+            f"{path}: {describe_problems(error, HostSecurity, 'security setting')}"
+        ) from None
     try:
         if security.tls is not None:
             check_certificates(security.tls)
@@ -99,32 +100,32 @@ def read_security(path: Path | None) -> HostSecurity | None:
 
 
 def check_listening(listen: tuple[str, ...], security: HostSecurity | None, insecure: bool) -> None:
-    """Check that nobody can move the robot without having proved who they are.
+    """Check that no client can move the robot without authentication.
 
     Args:
         listen: Endpoints of the host.
-        security: How clients prove it; None for not at all.
-        insecure: Whether the user asked for a host that anybody on the network can command.
+        security: Authentication and roles; None for none.
+        insecure: Whether the user accepted a host that every client on the network can command.
 
     Raises:
-        UserError: An endpoint has not the protection that it needs.
+        UserError: An endpoint lacks the protection that it needs.
     """
     for endpoint in listen:
         if endpoint.startswith("tls/") and (security is None or security.tls is None):
             raise UserError(
                 f"--listen is {endpoint!r} and no certificates are given; give tls in the file of "
-                "--security, made for example with: iher-robot certs DIR"
+                "--security, which iher-robot certs DIR makes"
             )
         if endpoint.startswith("tcp/") and security is not None and security.users is None:
             raise UserError(
-                f"--listen is {endpoint!r}, where nobody shows a certificate; listen on "
+                f"--listen is {endpoint!r}, where clients have no certificate; listen on "
                 f"{endpoint.replace('tcp/', 'tls/', 1)}, or give users in the file of --security"
             )
         if security is None and not insecure and not _is_loopback(endpoint):
             raise UserError(
-                f"--listen is {endpoint!r}, where others on the network could move the robot; give "
-                "--security FILE (see iher-robot certs), listen on 127.0.0.1, or accept it with "
-                "--insecure"
+                f"--listen is {endpoint!r}, where any client on the network could move the robot; "
+                "give --security FILE (see iher-robot certs), listen on 127.0.0.1, or accept it "
+                "with --insecure"
             )
 
 
@@ -134,17 +135,6 @@ def _is_loopback(endpoint: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _beside(path: Path, content: Mapping[object, object]) -> dict[str, object]:
-    folder = path.absolute().parent
-    found = {str(key): value for key, value in content.items()}
-    if isinstance(found.get("users"), str):
-        found["users"] = folder / str(found["users"])
-    tls = found.get("tls")
-    if isinstance(tls, Mapping):
-        found["tls"] = {k: folder / v if isinstance(v, str) else v for k, v in tls.items()}
-    return found
 
 
 def _check_users(path: Path, security: HostSecurity) -> None:
@@ -158,11 +148,11 @@ def _check_users(path: Path, security: HostSecurity) -> None:
 
 
 def _read_users(path: Path) -> list[str]:
-    """Read the names in a file of users as Zenoh reads it."""
+    """Read the names in a file of users, parsed as Zenoh does."""
     try:
         lines = read_file(path, "file of users").decode().splitlines()
     except UnicodeDecodeError:
-        raise UserError(f"file of users {path} is no UTF-8 text") from None
+        raise UserError(f"file of users {path} is not UTF-8 text") from None
     users: list[str] = []
     for number, line in enumerate(lines, start=1):
         user, _, password = (part.strip() for part in line.partition(":"))
@@ -171,21 +161,11 @@ def _read_users(path: Path) -> list[str]:
         if not user or not password:
             raise UserError(f"file of users {path}, line {number}: allowed: user:password")
         if user in users:
-            raise UserError(f"file of users {path}, line {number}: {user!r} is there twice")
+            raise UserError(
+                f"file of users {path}, line {number}: {user!r} appears twice; remove one"
+            )
         users.append(user)
     if not users:
         raise UserError(f"file of users {path} is empty; give lines of user:password")
     warn_if_others_can_read(path, "file of users")
     return users
-
-
-def _sentence(detail: Mapping[str, object]) -> str:
-    path = [str(part) for part in detail["loc"]]  # type: ignore[attr-defined]
-    key, reason = ".".join(path), str(detail["msg"]).removeprefix("Value error, ")
-    if not path:
-        return reason
-    if detail["type"] == "extra_forbidden":
-        section = _SECTIONS[path[0]] if len(path) > 1 else HostSecurity
-        names = [".".join((*path[:-1], name)) for name in section.model_fields]
-        return unknown("security setting", key, names)
-    return f"{key} is {detail['input']!r}: {reason[0].lower()}{reason[1:]}"

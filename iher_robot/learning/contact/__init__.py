@@ -1,1 +1,1 @@
-"""Contact-first exploration: a second policy that brings the gripper to the object."""
+"""Contact-first exploration: a second policy that brings the effector to the object."""

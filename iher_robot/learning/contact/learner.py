@@ -1,4 +1,4 @@
-"""Contact first: what trains the second policy, which brings the effector to the object."""
+"""Training of the second policy, which brings the effector to the object."""
 
 from __future__ import annotations
 
@@ -19,27 +19,41 @@ from iher_robot.learning.goal_model import Shapes
 from iher_robot.learning.metrics import Meter
 from iher_robot.learning.networks.data_parallel import ALONE, Peers
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import BLOCK, EpisodeReplay
+from iher_robot.learning.replay import EpisodeReplay
 from iher_robot.learning.symmetry import Symmetry, augment
+from iher_robot.learning.transitions import BLOCK
 
 TOUCH_WINDOW = 20
-"""Newest episodes that decide whether the object is touched often enough."""
+"""Newest episodes over which the share of touches is taken."""
+
+
+def _config_of_second_policy(config: LearnerConfig) -> LearnerConfig:
+    changes = {
+        "hidden": config.contact.hidden,
+        "critics": 1,
+        "target_subset": 1,
+        "policy_average": None,
+        "source_input": False,
+        "component_critics": False,
+        "target_update": "update",
+    }
+    return config.model_copy(update={"ddpg": config.ddpg.model_copy(update=changes)})
 
 
 class ContactLearner:
-    """Trains the second policy on the real data, with positions of the effector as hindsight.
+    """Trains the second policy on the real data, with effector positions as hindsight goals.
 
     Args:
         shapes: Sizes of the task's arrays.
-        model: Where effector and object are.
-        config: Settings of the learner; but for the networks' widths and the number of critics the
-            optimisation is that of the main policy.
+        model: Positions of effector and object.
+        config: Settings of the learner. The second policy has smaller networks and one critic, and
+            is otherwise optimised like the main one.
         seed: Seeds every draw.
         device: Where it computes.
         peers: Learners with which it shares every batch.
 
     Attributes:
-        rests: Whether the object was touched often enough for it to be left as it is.
+        rests: Whether training has ended, because the object was touched often enough.
     """
 
     def __init__(
@@ -55,21 +69,7 @@ class ContactLearner:
         self.config = config
         self.model = model
         self.goals = EffectorGoals(model, config.contact.radius_m)
-        own = config.model_copy(
-            update={
-                "ddpg": config.ddpg.model_copy(
-                    update={
-                        "hidden": config.contact.hidden,
-                        "critics": 1,
-                        "target_subset": 1,
-                        "policy_average": None,
-                        "source_input": False,
-                        "component_critics": False,
-                        "target_update": "update",
-                    }
-                ),
-            }
-        )
+        own = _config_of_second_policy(config)
         entries = model.effector_entries
         shapes = dataclasses.replace(shapes, goal_dim=len(entries), goal_entries=entries)
         initial = torch.Generator().manual_seed(seed)
@@ -80,7 +80,7 @@ class ContactLearner:
         self.rests = False
 
     def add_real(self, fresh: EpisodeReplay, episodes: Sequence[Episode]) -> None:
-        """Take in an epoch's episodes, unless it rests.
+        """Add an epoch's episodes, unless the policy rests.
 
         Args:
             fresh: Their transitions.
@@ -95,22 +95,22 @@ class ContactLearner:
         self.rests = often and len(self._touched) == TOUCH_WINDOW
 
     def touched(self, episode: Episode) -> bool:
-        """Whether the effector came to the object."""
+        """Whether the object was touched in an episode."""
         observations = torch.as_tensor(episode.observations)
         start = self.model.object_position(observations[:1])
         contact = self.config.contact
         return touched(self.model, start, observations, contact.radius_m, contact.touched_m)
 
     def learn(self, real: EpisodeReplay, updates: int, symmetry: Symmetry | None) -> Meter:
-        """Take gradient steps, unless it rests.
+        """Take gradient steps, unless the policy rests.
 
         Args:
             real: All real data.
-            updates: How many steps.
+            updates: Gradient steps.
             symmetry: The task's, if it is used.
 
         Returns:
-            What they report.
+            Metrics of the steps.
         """
         meter = Meter()
         if self.rests:
@@ -119,7 +119,7 @@ class ContactLearner:
         for done in range(0, updates, BLOCK):
             batches = min(BLOCK, updates - done)
             drawn = real.sample(batches * size, self.generator, self.goals, future_fraction=1.0)
-            # The curiosity that is stored with the data is not this policy's.
+            # The stored intrinsic reward is for the main policy only.
             drawn = dataclasses.replace(drawn, intrinsic=torch.zeros_like(drawn.intrinsic))
             drawn = augment(drawn, symmetry, self.generator)
             report = self.ddpg.update_block(drawn, batches)
@@ -127,7 +127,7 @@ class ContactLearner:
         return meter
 
     def state_dict(self) -> dict[str, Any]:
-        """All that ``load_state_dict`` needs: tensors and scalars."""
+        """State for ``load_state_dict``: tensors and scalars."""
         return {
             "policy": self.policy.snapshot(),
             "ddpg": self.ddpg.state_dict(),
@@ -146,6 +146,6 @@ class ContactLearner:
         self.rests = state["rests"]
 
     def snapshot(self, device: torch.device) -> ContactPolicy:
-        """Copy of the policy, for an actor. It is independent of later updates."""
+        """Copy of the policy for an actor, independent of later updates."""
         policy = Policy.from_snapshot(self.policy.snapshot(), device=device)
         return ContactPolicy(policy, self.model, self.config.contact, rests=self.rests)

@@ -1,4 +1,4 @@
-"""Where effector and object are, and when one has touched the other."""
+"""Positions of effector and object, and when they touch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from iher_robot.learning.goal_model import Array
 
 
 class ContactModel(Protocol):
-    """Where effector and object are, which the task declares. Batched over leading axes."""
+    """Positions of effector and object, from the task. Batched over leading axes."""
 
     @property
     def effector_entries(self) -> tuple[int, ...]:
@@ -19,7 +19,7 @@ class ContactModel(Protocol):
 
     @property
     def hand_actions(self) -> tuple[int, ...]:
-        """Entries of the action that open a hand, at 1, and close it, at -1; empty without one."""
+        """Entries of the action that open (1) and close (-1) the hand; empty without a hand."""
 
     def effector_position(self, observation: torch.Tensor, /) -> torch.Tensor:
         """Position of the end effector, m. ``(..., obs_dim) -> (..., 3)``"""
@@ -28,8 +28,8 @@ class ContactModel(Protocol):
         """Position of the object, m. ``(..., obs_dim) -> (..., 3)``"""
 
 
-def apart(one: torch.Tensor, other: torch.Tensor) -> float:
-    """Distance of two places, m. ``(1, 3)`` each"""
+def distance_between(one: torch.Tensor, other: torch.Tensor) -> float:
+    """Distance between two positions, m. ``(1, 3)`` each"""
     return float(torch.linalg.vector_norm(one - other, dim=-1).amin())
 
 
@@ -40,20 +40,20 @@ def touched(
     radius_m: float,
     moved_m: float,
 ) -> bool:
-    """Whether the object was touched in some of the observations.
+    """Whether the object was touched in any of the observations.
 
     Args:
-        model: Where effector and object are.
-        start: Where the object was before, m. ``(1, 3)``
+        model: Positions of effector and object.
+        start: Position of the object before, m. ``(1, 3)``
         observation: ``(ticks, obs_dim)``
-        radius_m: It was if the effector came so near, m,
-        moved_m: or if it moved by this much, m.
+        radius_m: It was touched if the effector came this near, m,
+        moved_m: or if it moved by more than this, m.
     """
     moved = torch.linalg.vector_norm(model.object_position(observation) - start, dim=-1)
-    return bool(((gap(model, observation) < radius_m) | (moved > moved_m)).any())
+    return bool(((effector_distance(model, observation) < radius_m) | (moved > moved_m)).any())
 
 
-def gap(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
+def effector_distance(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
     """Distance from effector to object, m. ``(..., obs_dim) -> (...,)``"""
     between = model.effector_position(observation) - model.object_position(observation)
     distance: torch.Tensor = torch.linalg.vector_norm(between, dim=-1)
@@ -61,7 +61,7 @@ def gap(model: ContactModel, observation: torch.Tensor) -> torch.Tensor:
 
 
 class EffectorGoals:
-    """Goal model of the second policy: the effector's position is the goal it achieves."""
+    """Goal model of the second policy: its achieved goal is the effector's position."""
 
     def __init__(self, model: ContactModel, radius_m: float) -> None:
         self._model = model
@@ -77,7 +77,7 @@ class EffectorGoals:
         return -(distance > self._radius_m).float()
 
     def complete(self, observation: torch.Tensor, /) -> torch.Tensor:
-        """Nothing is imagined with these goals. ``(..., obs_dim)``"""
+        """Return the observation: nothing is imagined with these goals. ``(..., obs_dim)``"""
         return observation
 
     def tightened(self, share: float, /) -> EffectorGoals:
@@ -85,5 +85,5 @@ class EffectorGoals:
         return EffectorGoals(self._model, share * self._radius_m)
 
     def sample_goal(self, rng: np.random.Generator, start_observation: Array, /) -> Array:
-        """Refuse: every goal of this policy is an object or hindsight."""
+        """Refuse: this policy's goals are objects and hindsight goals only."""
         raise NotImplementedError

@@ -12,8 +12,8 @@ from torch import nn
 
 from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.goal_model import Shapes
-from iher_robot.learning.networks.data_parallel import ALONE, Peers, own_rows
-from iher_robot.learning.networks.flat_parameters import Flat
+from iher_robot.learning.networks.data_parallel import ALONE, Peers, local_rows
+from iher_robot.learning.networks.flat_parameters import FlatParameters
 from iher_robot.learning.networks.mlp import forward, in_blocks, mlp
 from iher_robot.learning.networks.normalizer import FittedNormalizer
 from iher_robot.learning.replay import EpisodeReplay
@@ -38,19 +38,18 @@ def recency_weights(epoch: int, config: DynamicsConfig) -> torch.Tensor:
 
 
 class DynamicsEnsemble:
-    """Networks that each predict the change of the observation in one control tick.
+    """Networks, each of which predicts the change of the observation in one control tick.
 
-    Members differ by their initial weights and by the batches they see. Inputs and targets are
-    normalised with statistics of the real data, refitted by ``fit_normalizers`` and frozen
-    until its next call.
+    Members differ in their initial weights and in their batches. Inputs and targets are normalised
+    with statistics of the real data, which only ``fit_normalizers`` changes.
 
     Args:
         shapes: Sizes of the arrays.
         config: Size, training and normalisation.
         generator: Draws the initial weights, on the CPU.
         device: Where the models compute.
-        symmetry: Maps whose images of the real transitions are learned from; None for none.
-        products: Type of the matrix products between hidden layers.
+        symmetry: Maps whose images of real transitions are learned from; None for none.
+        matmul_dtype: Type of the matrix products between hidden layers.
         peers: Learners with which it shares every batch.
     """
 
@@ -62,7 +61,7 @@ class DynamicsEnsemble:
         generator: torch.Generator,
         device: torch.device,
         symmetry: Symmetry | None = None,
-        products: torch.dtype = torch.float32,
+        matmul_dtype: torch.dtype = torch.float32,
         peers: Peers = ALONE,
     ) -> None:
         self.config = config
@@ -72,28 +71,28 @@ class DynamicsEnsemble:
             self._seen[list(shapes.shifted_entries)] = 0.0
         self._symmetry = symmetry
         inputs = shapes.obs_dim + shapes.action_dim
-        self._products = products
+        self._matmul_dtype = matmul_dtype
         self.members = nn.ModuleList(
             mlp(inputs, config.hidden, shapes.obs_dim, generator) for _ in range(config.members)
         ).to(device)
-        self._flat = Flat(self.members)
+        self._flat = FlatParameters(self.members)
         self.input_normalizer = FittedNormalizer(inputs, std_floor=config.std_floor, device=device)
         self.delta_normalizer = FittedNormalizer(
             shapes.obs_dim, std_floor=config.std_floor, device=device
         )
-        # Bounds of the real observations, for imagination.
+        # Range of the real observations, for imagination.
         self.obs_low = torch.full((shapes.obs_dim,), -torch.inf, device=device)
         self.obs_high = torch.full((shapes.obs_dim,), torch.inf, device=device)
         self._optimizer = torch.optim.Adam([self._flat.values], lr=config.lr, fused=True)
 
     def fit_normalizers(self, real: EpisodeReplay, generator: torch.Generator) -> None:
-        """Refit the statistics to every stored real transition, or to an image of each.
+        """Fit the statistics to every stored real transition, or to an image of each.
 
         Args:
             real: Real transitions.
             generator: Draws the images.
         """
-        observation, action, following = self._steps(real, *real.every_step(), generator)
+        observation, action, following = self._steps(real, *real.all_indices(), generator)
         self.input_normalizer.fit(torch.cat([observation, action], dim=-1))
         self.delta_normalizer.fit(following - observation)
         self.obs_low = torch.minimum(observation.amin(0), following.amin(0))
@@ -102,7 +101,7 @@ class DynamicsEnsemble:
     def train(
         self, real: EpisodeReplay, steps: int, *, batch_size: int, generator: torch.Generator
     ) -> float:
-        """Take gradient steps on each member with batches of its own.
+        """Take gradient steps on each member, with separate batches.
 
         Args:
             real: Real transitions.
@@ -122,10 +121,10 @@ class DynamicsEnsemble:
         members = len(self.members)
         loss = torch.zeros((), device=self.obs_low.device)
         for _ in range(steps):
-            # Rows of each member's own: those that learn from the same would hardly disagree.
-            episode, tick = real.draw(members * batch_size, generator, weights)
+            # Separate rows for each member: members trained on the same would hardly disagree.
+            episode, tick = real.sample_indices(members * batch_size, generator, weights)
             observation, action, following = (
-                own_rows(each, members, self._peers)
+                local_rows(each, members, self._peers)
                 for each in self._steps(real, episode, tick, generator)
             )
             target = self.delta_normalizer.normalize(following - observation)
@@ -153,7 +152,7 @@ class DynamicsEnsemble:
         tick: torch.Tensor,
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        observation, action, following = real.draw_steps(episode, tick, generator)
+        observation, action, following = real.sample_steps(episode, tick, generator)
         if self._symmetry is None:
             return observation, action, following
         maps = choose_maps(self._symmetry, observation, following, generator)
@@ -181,7 +180,7 @@ class DynamicsEnsemble:
 
     def _forward(self, member: nn.Module, inputs: torch.Tensor) -> torch.Tensor:
         assert isinstance(member, nn.Sequential)
-        return forward(member, inputs, self._products)
+        return forward(member, inputs, self._matmul_dtype)
 
     def next_observation(
         self, observation: torch.Tensor, normalized_delta: torch.Tensor

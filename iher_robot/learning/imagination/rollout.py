@@ -22,8 +22,8 @@ class ImaginedRollouts:
         observations: ``(episodes, length + 1, obs_dim)``
         actions: ``(episodes, length, action_dim)``
         goals: ``(episodes, goal_dim)``
-        spreads: Value of ``spread`` for each transition. ``(episodes, length)``
-        dropped: Rollouts left out because a prediction was not finite.
+        spreads: ``spread`` of each transition's predictions. ``(episodes, length)``
+        dropped: Rollouts left out because an observation or a prediction was not finite.
     """
 
     observations: torch.Tensor
@@ -46,16 +46,16 @@ def imagine(
     spread: Callable[[torch.Tensor], torch.Tensor],
     generator: torch.Generator,
 ) -> ImaginedRollouts:
-    """Roll out in imagination, a member drawn uniformly for each rollout at each step.
+    """Roll out a policy in the models: each step of each rollout draws a member uniformly.
 
     Args:
         ensemble: The models.
         goal_model: Recomputes derived entries of the observation.
         start: First observations. ``(episodes, obs_dim)``
-        goals: Desired goals, one a rollout. ``(episodes, goal_dim)``
-        act: The policy with its exploration.
+        goals: Desired goals. ``(episodes, goal_dim)``
+        act: The policy, with exploration if any.
         ticks: Length of the rollouts.
-        state_margin: Observations stay within the real data's range, widened by this share.
+        state_margin: Observations are clipped to the real data's range, widened by this share.
         spread: Maps the members' predictions ``(members, batch, obs_dim)`` to one number a
             row, such as the intrinsic reward.
         generator: Draws the members.

@@ -4,40 +4,46 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
-from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import torch
 
 from iher_robot.learning.config import LearnerConfig
+from iher_robot.learning.exploration import explore
 from iher_robot.learning.goal_model import IMAGINED, REAL, GoalModel, Shapes
 from iher_robot.learning.imagination.dynamics import DIVERGED, DynamicsEnsemble
 from iher_robot.learning.imagination.intrinsic import disagreement, intrinsic_reward
-from iher_robot.learning.imagination.rollout import imagine
+from iher_robot.learning.imagination.policy_copies import PolicyCopies
+from iher_robot.learning.imagination.rollout import ImaginedRollouts, imagine
+from iher_robot.learning.imagination.starts import StartStates
 from iher_robot.learning.metrics import Meter
-from iher_robot.learning.policy import Policy, explore
-from iher_robot.learning.replay import EpisodeReplay, Transitions
-from iher_robot.learning.symmetry import Symmetry, augment, choose_maps
-
-Progress = Callable[[str, int, int], None]
-"""Called with the phase's name, the steps done and their total."""
+from iher_robot.learning.policy import Policy
+from iher_robot.learning.progress import Progress
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.symmetry import Symmetry, augment
+from iher_robot.learning.transitions import Transitions
 
 CHUNK = 4_000
+"""Most rollouts that a refill imagines at once."""
 
 
 class ImaginarySource:
-    """Imagined episodes and the policies that imagine them.
+    """Imagined episodes, and the policies that refill them.
 
     Args:
         shapes: Sizes of the arrays.
         goal_model: Goals to imagine, derived entries.
         config: Settings.
         real: Real episodes, where rollouts begin.
-        generator: Every draw, on ``device``.
+        generator: Source of randomness, on ``device``.
         device: Where the data live.
-        symmetry: Maps to whose images of the real starts rollouts are moved; None for none.
+        symmetry: Maps whose images rollouts start from and are sampled as; None for none.
+
+    Attributes:
+        replay: The stored rollouts.
+        collected: Transitions of all cycles; refills add none.
+        level: Transitions that a refill restores.
+        policy_copies: Earlier policies.
     """
 
     def __init__(
@@ -57,16 +63,17 @@ class ImaginarySource:
         self.config = config
         self.generator = generator
         self.device = device
-        self._real = real
         self._symmetry = symmetry
+        self._branches = config.imagination.branch_ticks is not None
+        self._starts = StartStates(real, goal_model, config, generator=generator, symmetry=symmetry)
         self.replay = EpisodeReplay(
             self.shapes, capacity=config.replay.capacity, source=IMAGINED, device=device
         )
         self.collected = 0
         self.level = 0
-        self.policy_copies: deque[tuple[int, dict[str, Any]]] = deque(
-            maxlen=1 + -(-self.replay.max_episodes // self.rollouts_per_policy)
-        )
+        refill_policies = math.ceil(self.replay.max_episodes / self.rollouts_per_policy)
+        # One more: the newest copy may equal the current policy.
+        self.policy_copies = PolicyCopies(1 + refill_policies, device)
 
     @property
     def rollouts_per_policy(self) -> int:
@@ -74,9 +81,9 @@ class ImaginarySource:
         return self.config.schedule.cycles * self.config.schedule.imaginary_episodes
 
     def keep_copy(self, policy: Policy, cycle: int) -> None:
-        """Keep a copy of the policy as it is after that many cycles, where a refill asks for it."""
+        """Keep a copy of the policy as it is after that cycle, unless refills need none."""
         if not self._branches:
-            self.policy_copies.append((cycle, policy.snapshot()))
+            self.policy_copies.add(policy, cycle)
 
     def imagine_cycle(
         self, ensemble: DynamicsEnsemble, policy: Policy, *, epoch: int
@@ -89,10 +96,10 @@ class ImaginarySource:
             epoch: The current epoch.
 
         Returns:
-            What the rollouts show.
+            Metrics of the rollouts.
 
         Raises:
-            FloatingPointError: No rollout is finite, now and before.
+            FloatingPointError: The source is empty, because no rollout was finite.
         """
         count = self.config.schedule.imaginary_episodes
         report = self.add_rollouts(ensemble, policy, count, epoch=epoch)
@@ -113,18 +120,18 @@ class ImaginarySource:
         """Clear the source and refill it to its level with the newest models only.
 
         The current policy first, then its copies from the newest to the oldest, each with C x I
-        rollouts (paper, appendix), or with an equal share where too few copies exist. Branches
-        are cleared and not refilled: the next cycle's are soon as many as a batch takes.
+        rollouts (paper, appendix), or with an equal share if there are too few copies. Branches
+        are cleared and not refilled: a few cycles bring as many as a batch takes.
 
         Args:
             ensemble: The models.
             policy: The current policy.
             epoch: The current epoch.
             cycle: Cycles so far; a copy of that cycle equals the current policy.
-            progress: Told how far the refill is.
+            progress: Called after each chunk.
 
         Returns:
-            What the rollouts show.
+            Metrics of the rollouts.
 
         Raises:
             FloatingPointError: No rollout is finite.
@@ -132,8 +139,8 @@ class ImaginarySource:
         self.replay.clear()
         if self._branches:
             return {}
-        policies = [policy, *self._older_policies(cycle, policy.products)]
-        share = max(self.rollouts_per_policy, -(-self._missing() // len(policies)))
+        policies = [policy, *self.policy_copies.older_than(cycle, policy.matmul_dtype)]
+        share = max(self.rollouts_per_policy, math.ceil(self._missing() / len(policies)))
         meter = Meter()
         while self._missing():
             for each in policies:
@@ -148,43 +155,57 @@ class ImaginarySource:
         return report
 
     def _require_rollouts(self) -> None:
-        # Not those of one call: it may want so few that all of them are dropped by chance.
+        # Not checked for each call: all of a few rollouts may be dropped by chance.
         if self.replay.num_episodes == 0:
             raise FloatingPointError(
                 f"every imagined rollout held a value that is not finite: {DIVERGED}"
             )
 
     def _missing(self) -> int:
-        """Episodes that are missing to the source's level."""
-        return -(-(self.level - self.replay.num_transitions) // self.shapes.episode_ticks)
-
-    def _older_policies(self, cycle: int, products: torch.dtype) -> Iterator[Policy]:
-        for copied_at, snapshot in reversed(self.policy_copies):
-            if copied_at != cycle:
-                yield Policy.from_snapshot(snapshot, device=self.device, products=products)
+        """Episodes below the source's level."""
+        missing = self.level - self.replay.num_transitions
+        return math.ceil(missing / self.shapes.episode_ticks)
 
     def add_rollouts(
-        self,
-        ensemble: DynamicsEnsemble,
-        policy: Policy,
-        count: int,
-        *,
-        epoch: int,
+        self, ensemble: DynamicsEnsemble, policy: Policy, count: int, *, epoch: int
     ) -> dict[str, float]:
         """Add rollouts of a policy.
 
         Args:
             ensemble: The models.
-            policy: The policy, here with exploration.
-            count: Rollouts to add; with ``keep`` more are imagined.
+            policy: The policy, which acts with exploration.
+            count: Rollouts to add; with ``imagination.keep`` below 1 more are imagined.
             epoch: The current epoch.
 
         Returns:
-            What they show; ``kept`` is the number that were added.
+            Metrics of the rollouts; ``kept`` is the number that were added.
         """
-        keep = count
-        count = math.ceil(count / self.config.imagination.keep)
-        start, goals = self._starts(count)
+        imagined = math.ceil(count / self.config.imagination.keep)
+        rollouts = self._rollouts(ensemble, policy, imagined)
+        reward = torch.zeros_like(rollouts.spreads)
+        if self.config.intrinsic.enabled:
+            reward = intrinsic_reward(rollouts.spreads, self.config.intrinsic)
+        finite = len(rollouts.actions)
+        # Those on which the models agree best, in the order in which they were imagined.
+        kept = rollouts.spreads.mean(dim=1).argsort()[:count].sort().values
+        if finite:
+            self.replay.add(
+                rollouts.observations[kept],
+                rollouts.actions[kept],
+                rollouts.goals[kept],
+                epoch=epoch,
+                intrinsic=reward[kept],
+            )
+        clipped = reward >= self.config.intrinsic.clip
+        return {
+            "kept": len(kept),
+            "imagined_dropped": rollouts.dropped / imagined,
+            "intrinsic_imagined": float(reward.mean()) if finite else 0.0,
+            "intrinsic_clipped": float(clipped.float().mean()) if finite else 0.0,
+        }
+
+    def _rollouts(self, ensemble: DynamicsEnsemble, policy: Policy, count: int) -> ImaginedRollouts:
+        start, goals = self._starts.draw(count)
         flip = torch.rand(count, generator=self.generator, device=self.device)
         source = torch.where(flip < self.config.exploration.source_flip, REAL, IMAGINED)
 
@@ -192,7 +213,7 @@ class ImaginarySource:
             action = policy.act(observation, goals, source)
             return explore(action, self.config.exploration, self.generator)
 
-        rollouts = imagine(
+        return imagine(
             ensemble,
             self.goal_model,
             start=start,
@@ -203,89 +224,41 @@ class ImaginarySource:
             spread=self._disagreement,
             generator=self.generator,
         )
-        finite = len(rollouts.actions)
-        agreed = rollouts.spreads.mean(dim=1).argsort()
-        agreed = agreed[:keep].sort().values
-        reward = torch.zeros_like(rollouts.spreads)
-        if self.config.intrinsic.enabled:
-            reward = intrinsic_reward(rollouts.spreads, self.config.intrinsic)
-        if finite:
-            self.replay.add(
-                rollouts.observations[agreed],
-                rollouts.actions[agreed],
-                rollouts.goals[agreed],
-                epoch=epoch,
-                intrinsic=reward[agreed],
-            )
-        clipped = reward >= self.config.intrinsic.clip
-        return {
-            "kept": len(agreed),
-            "imagined_dropped": rollouts.dropped / count,
-            "intrinsic_imagined": float(reward.mean()) if finite else 0.0,
-            "intrinsic_clipped": float(clipped.float().mean()) if finite else 0.0,
-        }
 
     def _disagreement(self, predictions: torch.Tensor) -> torch.Tensor:
         if not self.config.intrinsic.enabled and self.config.imagination.keep == 1.0:
             return predictions.new_zeros(predictions.shape[1])
         return disagreement(predictions, self.config.intrinsic)
 
-    def _starts(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Observations to begin at, and goals. ``(count, obs_dim)``, ``(count, goal_dim)``"""
-        if self._branches:
-            fraction = self.config.replay.future_fraction
-            drawn = self._real.sample(
-                count, self.generator, self.goal_model, future_fraction=fraction
-            )
-            drawn = augment(drawn, self._symmetry, self.generator)
-            return drawn.observation, drawn.goal
-        starts = self._real.start_observations()
-        row = torch.randint(len(starts), (count,), generator=self.generator, device=self.device)
-        start = starts[row]
-        if self._symmetry is not None:
-            start = choose_maps(self._symmetry, start, start, self.generator).observation(start)
-        return start, self._sample_goals(start)
-
     def sample(self, count: int) -> Transitions:
-        """Draw imagined transitions with their goals.
+        """Sample imagined transitions, or their images where a symmetry is used.
+
+        Whole episodes are relabelled like real ones. Branches are not: their goals come from the
+        whole of a real episode, and hindsight within so few ticks would be trivial.
 
         Args:
-            count: How many.
-
-        Returns:
-            The batch. Whole episodes are relabelled as real ones are; branches came with goals
-            from the whole of a real episode, and hindsight within them would be trivial.
+            count: Transitions, drawn with replacement.
         """
         fraction = 0.0 if self._branches else self.config.replay.future_fraction
-        return self.replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
-
-    @property
-    def _branches(self) -> bool:
-        return self.config.imagination.branch_ticks is not None
-
-    def _sample_goals(self, start: torch.Tensor) -> torch.Tensor:
-        # The task draws with NumPy; one number of the learner's stream seeds it.
-        seed = int(torch.randint(2**62, (), generator=self.generator, device=self.device))
-        goals = self.goal_model.sample_goal(np.random.default_rng(seed), start.cpu().numpy())
-        return torch.as_tensor(goals, dtype=torch.float32, device=self.device)
+        batch = self.replay.sample(count, self.generator, self.goal_model, future_fraction=fraction)
+        return augment(batch, self._symmetry, self.generator)
 
     def state_dict(self) -> dict[str, Any]:
-        """Counters and policy copies; and the imagined data, unless each epoch makes them anew."""
+        """Counters and policy copies; imagined data only if they are not regenerated."""
         state = {
             "collected": self.collected,
             "level": self.level,
-            "policy_copies": list(self.policy_copies),
+            "policy_copies": self.policy_copies.state(),
         }
         if not self.config.imagination.regenerate:
             state["replay"] = self.replay.state_dict()
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned; ``refill`` brings data back that it has not."""
+        """Restore what ``state_dict`` returned; ``refill`` restores regenerated data."""
         self.replay.clear()
         if "replay" in state:
             self.replay.load_state_dict(state["replay"])
         self.collected = state["collected"]
         self.level = state["level"]
-        self.policy_copies.clear()
-        self.policy_copies.extend((cycle, snapshot) for cycle, snapshot in state["policy_copies"])
+        self.policy_copies.load_state(state["policy_copies"])

@@ -1,1 +1,1 @@
-"""Networks and tensor machinery: MLPs, critics, normalizer, precision, CUDA graphs."""
+"""Networks: MLPs, critics, normalisers, precision, CUDA graphs, data parallelism."""

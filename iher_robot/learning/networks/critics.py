@@ -1,4 +1,4 @@
-"""Critics: an ensemble for each component of the reward."""
+"""Critics: an ensemble of Q-networks for each component of the reward."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from iher_robot.learning.networks.mlp import forward, mlp
 
 
 class Critics(nn.Module):
-    """Networks that differ by their initial weights only.
+    """Q-networks that differ only in their initial weights.
 
     Args:
         inputs: Width of features and action together.
-        config: How many networks a component has, and of what kind.
-        components: Components of the reward that have critics of their own.
+        config: Networks a component, their widths and layer normalisation.
+        components: Components of the reward, each with its own networks.
         generator: Draws the initial weights, on the CPU.
-        products: Type of the matrix products between hidden layers.
+        matmul_dtype: Type of the matrix products between hidden layers.
     """
 
     def __init__(
@@ -29,12 +29,12 @@ class Critics(nn.Module):
         *,
         components: int,
         generator: torch.Generator,
-        products: torch.dtype = torch.float32,
+        matmul_dtype: torch.dtype = torch.float32,
     ) -> None:
         super().__init__()
         self._members = config.critics
         self._components = components
-        self._products = products
+        self._matmul_dtype = matmul_dtype
         self.networks = nn.ModuleList(
             mlp(inputs, config.hidden, 1, generator, layer_norm=config.layer_norm)
             for _ in range(components * config.critics)
@@ -48,21 +48,21 @@ class Critics(nn.Module):
         Args:
             features: Of observation and goal. ``(batch, input_dim)``
             action: ``(batch, action_dim)``
-            members: Which networks of each component to ask; None for all.
+            members: Networks of each component to evaluate; None for all.
 
         Returns:
             ``(components, members, batch)``
         """
         inputs = torch.cat([features, action], dim=-1)
-        asked = range(self._members) if members is None else members
-        # One after the other: what one computes fits a cache of the processor.
+        chosen = range(self._members) if members is None else members
+        # One after the other: the activations of one network fit in a CPU cache.
         values: list[torch.Tensor] = [
-            forward(self._network(component, member), inputs, self._products).squeeze(-1)
+            forward(self._network(component, member), inputs, self._matmul_dtype).squeeze(-1)
             for component in range(self._components)
-            for member in asked
+            for member in chosen
         ]
         stacked = torch.stack(values)
-        return stacked.view(self._components, len(asked), len(inputs))
+        return stacked.view(self._components, len(chosen), len(inputs))
 
     def _network(self, component: int, member: int) -> nn.Sequential:
         network = self.networks[component * self._members + member]

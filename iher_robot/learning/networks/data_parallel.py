@@ -1,30 +1,31 @@
-"""Several learners that are one: each computes on its share of every batch, gradients are averaged.
+"""Data-parallel learning: shards of every batch, averaged gradients.
 
-So the paper's workers learn (appendix, "Hyperparameters"), but that all hold the same data, draw
-the same batches, and each computes the gradient of its own rows alone. The mean over the learners
-is then the gradient of the whole batch, and their weights stay the same.
+The paper's workers learn so (appendix, "Hyperparameters"), but here all processes hold the same
+data and draw the same batches, of which each computes on its shard. The mean of their gradients is
+the gradient of the whole batch, and their weights stay equal.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import torch
 
 
 class Peers(Protocol):
-    """The learners of a run, as one of them sees them."""
+    """The group of learners, as seen by one of them."""
 
     @property
     def rank(self) -> int:
-        """Number of this one, from 0."""
+        """Number of this learner, from 0."""
 
     @property
     def world_size(self) -> int:
-        """How many there are."""
+        """Number of learners."""
 
     def average(self, tensor: torch.Tensor, /) -> None:
-        """Replace a tensor by the mean of all learners' in place; each has to come to it."""
+        """Replace a tensor in place by its mean over all learners; a collective call."""
 
 
 class _Alone:
@@ -32,41 +33,51 @@ class _Alone:
     world_size = 1
 
     def average(self, tensor: torch.Tensor, /) -> None:
-        """The mean of one is what it is."""
+        """The mean over one learner: leave the tensor as it is."""
 
 
 ALONE: Peers = _Alone()
-"""A learner that is the only one."""
+"""The group of a single learner."""
 
 
-def own_rows(block: torch.Tensor, batches: int, peers: Peers) -> torch.Tensor:
-    """The rows of each batch that this learner computes on.
+def local_rows(block: torch.Tensor, batches: int, peers: Peers) -> torch.Tensor:
+    """Rows of each batch that this learner computes on.
 
     Args:
-        block: Batches of one size, one behind the other. ``(batches * size, ...)``
-        batches: How many.
+        block: Batches of one size, concatenated. ``(batches * size, ...)``
+        batches: Number of batches.
         peers: The learners.
 
     Returns:
-        An equal share of each batch. ``(batches * size / peers.world_size, ...)``
+        An equal shard of each batch. ``(batches * size / peers.world_size, ...)``
     """
     if peers.world_size == 1:
         return block
     assert len(block) % (batches * peers.world_size) == 0, (len(block), batches, peers.world_size)
-    shares: torch.Tensor = block.unflatten(0, (batches, peers.world_size, -1))
-    return shares[:, peers.rank].flatten(0, 1)
+    shards: torch.Tensor = block.unflatten(0, (batches, peers.world_size, -1))
+    return shards[:, peers.rank].flatten(0, 1)
 
 
-def require_equal_shares(name: str, size: int, peers: Peers) -> None:
-    """Check that a batch can be shared.
+def average_values(values: Mapping[str, torch.Tensor], peers: Peers) -> dict[str, torch.Tensor]:
+    """Mean over all learners of named vectors, in one collective call. ``(steps,)`` each"""
+    if peers.world_size == 1:
+        return dict(values)
+    joined = torch.cat(list(values.values()))
+    peers.average(joined)
+    parts = joined.split([len(each) for each in values.values()])
+    return dict(zip(values, parts, strict=True))
+
+
+def require_equal_shards(name: str, size: int, peers: Peers) -> None:
+    """Check that a batch divides into equal shards.
 
     Args:
-        name: What the size is made of, for the message.
+        name: Settings that give the size, for the message.
         size: Rows of the batch.
         peers: The learners.
 
     Raises:
-        ValueError: The shares would not be equal.
+        ValueError: It does not.
     """
     if size % peers.world_size:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Parameters of a module in one piece of memory."""
+"""Parameters of a module in one contiguous tensor."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from torch import nn
 from iher_robot.learning.networks.data_parallel import Peers
 
 ALIGNMENT = 16
-"""Each parameter begins at a multiple of so many numbers: a line of the processor's cache."""
+"""Each parameter begins at a multiple of this many elements: one cache line of a CPU."""
 
 
-class Flat:
+class FlatParameters:
     """All parameters of a module as one tensor, and all of their gradients as another.
 
-    An optimiser, a running mean or an average over processes is then one operation, whatever the
-    number of layers. The module's own parameters become views.
+    An optimiser step, a running mean or an average over processes is then one operation, whatever
+    the number of layers. The module's parameters become views.
 
     Args:
         module: A module that stays on its device. It is changed in place.
 
     Attributes:
-        values: The parameters, one behind the other; its ``grad`` holds their gradients.
-        parameters: The module's own, which are views of it.
+        values: The parameters, concatenated; its ``grad`` holds their gradients.
+        parameters: The module's parameters, which are views of ``values``.
     """
 
     def __init__(self, module: nn.Module) -> None:
@@ -43,8 +43,8 @@ class Flat:
             parameter.grad = gradient[: parameter.numel()].view_as(parameter)
 
     @torch.no_grad()
-    def follow(self, source: Flat, share: float | torch.Tensor) -> None:
-        """Move towards the parameters of a module of the same kind by a share."""
+    def move_towards(self, source: FlatParameters, share: float | torch.Tensor) -> None:
+        """Move by a share towards the parameters of a module of the same shape."""
         self.values.lerp_(source.values, share)
 
     def clear_gradients(self) -> None:
@@ -53,10 +53,10 @@ class Flat:
         self.values.grad.zero_()
 
     def add_gradients(self, loss: torch.Tensor) -> None:
-        """Add the gradients of a loss; those of other modules are left alone."""
+        """Add the gradients of a loss; other modules get none."""
         loss.backward(inputs=self.parameters)
 
     def average_gradients(self, peers: Peers) -> None:
-        """Replace the gradients by the mean of all learners'."""
+        """Replace the gradients by their mean over all learners."""
         assert self.values.grad is not None
         peers.average(self.values.grad)

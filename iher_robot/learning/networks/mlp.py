@@ -1,4 +1,4 @@
-"""Feed-forward networks."""
+"""Multi-layer perceptrons."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 LARGEST_BLOCK = 4096
-"""Rows that ``in_blocks`` computes at once, at most; a power of two."""
+"""Most rows that ``in_blocks`` computes at once; a power of two."""
 
 
 def mlp(
@@ -23,8 +23,8 @@ def mlp(
 ) -> nn.Sequential:
     """Multi-layer perceptron with ReLU between its layers.
 
-    The weights are drawn from ``generator`` with torch's default distribution, so that nothing
-    depends on the global seed.
+    The weights are drawn from ``generator`` with torch's default distribution; the global seed has
+    no effect.
 
     Args:
         inputs: Width of the input.
@@ -50,27 +50,27 @@ def mlp(
     return nn.Sequential(*layers)
 
 
-def forward(network: nn.Sequential, inputs: torch.Tensor, products: torch.dtype) -> torch.Tensor:
-    """Apply what ``mlp`` returned, with matrix products between hidden layers of a type.
+def forward(network: nn.Sequential, inputs: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
+    """Apply an ``mlp``, with the matrix products between hidden layers in a given type.
 
-    The first and the last layer are not rounded: what a network sees and says stays exact. Nor is
-    anything between the products, which on a CPU would cost more than it saves.
+    The first and the last layer are not rounded, so that inputs and outputs stay exact. Nor is
+    anything between the products: on a CPU that would cost more than it saves.
 
     Args:
         network: From ``mlp``.
         inputs: ``(rows, inputs)``
-        products: Type of the products; weights and results stay what they are.
+        dtype: Type of these products; weights and results keep theirs.
 
     Returns:
         ``(rows, outputs)``
     """
-    if products == inputs.dtype:
+    if dtype == inputs.dtype:
         output: torch.Tensor = network(inputs)
         return output
     values, last = inputs, len(network) - 1
     for index, layer in enumerate(network):
         if isinstance(layer, nn.Linear) and 0 < index < last:
-            product = functional.linear(values.to(products), layer.weight.to(products))
+            product = functional.linear(values.to(dtype), layer.weight.to(dtype))
             values = product.to(inputs.dtype).add_(layer.bias)
         else:
             values = layer(values)
@@ -82,12 +82,12 @@ def in_blocks(
 ) -> torch.Tensor:
     """Apply a network to any number of rows, in blocks whose sizes are powers of two.
 
-    On a CPU torch has a matrix product compiled for each shape that it meets (oneDNN, in every
-    precision but ``highest``) and keeps the code, about 1 MB a layer: numbers of rows that are
-    never twice the same would fill gigabytes.
+    On a CPU torch compiles a matrix product for each new shape (oneDNN, in every precision but
+    ``highest``) and keeps the code, about 1 MB a layer: ever new numbers of rows would fill
+    gigabytes.
 
     Args:
-        network: Computes each row by itself.
+        network: Computes each row independently of the others.
         inputs: ``(rows, inputs)``
 
     Returns:
@@ -106,10 +106,10 @@ def in_blocks(
 
 
 def block_sizes(rows: int) -> list[int]:
-    """Powers of two that hold so many rows; the last one may be larger than what is left for it.
+    """Split rows into blocks whose sizes are powers of two; the last may need padding.
 
     Args:
-        rows: How many.
+        rows: Number of rows.
 
     Returns:
         Sizes from the largest to the smallest.
@@ -117,7 +117,7 @@ def block_sizes(rows: int) -> list[int]:
     sizes, left = [], rows
     while left > 0:
         size = min(LARGEST_BLOCK, 1 << (left - 1).bit_length())
-        if size > 64 and left < 0.875 * size:  # more calls cost less than so many rows of nothing
+        if size > 64 and left < 0.875 * size:  # another call costs less than this much padding
             size //= 2
         sizes.append(size)
         left -= size

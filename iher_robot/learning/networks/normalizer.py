@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 
 BLOCK = 16_384
-"""Rows that are widened to float64 at once."""
+"""Rows that are converted to float64 at once."""
 
 
 class RunningNormalizer:
-    """Mean and standard deviation of everything seen so far.
+    """Mean and standard deviation of all values so far.
 
-    Sums are kept in float64: positions of about 1 m with a spread of millimetres would lose
-    their variance in float32.
+    Sums are kept in float64: in float32, positions of about 1 m that spread over millimetres would
+    lose their variance.
 
     Args:
         dim: Length of the vectors.
@@ -31,7 +31,7 @@ class RunningNormalizer:
         self.std = torch.ones(dim, device=device)
 
     def update(self, values: torch.Tensor) -> None:
-        """Take in a batch. ``(batch, dim)``"""
+        """Add a batch. ``(batch, dim)``"""
         wide = values.double()
         self._count += len(values)
         self._sum += wide.sum(0)
@@ -58,7 +58,7 @@ class RunningNormalizer:
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_dict`` returned."""
         device = self.mean.device
-        # Copies, since ``update`` writes to them.
+        # Copies, because ``update`` writes to them.
         self._count = state["count"].to(device, copy=True)
         self._sum = state["sum"].to(device, copy=True)
         self._sum_of_squares = state["sum_of_squares"].to(device, copy=True)
@@ -69,7 +69,7 @@ class RunningNormalizer:
 class FittedNormalizer:
     """Mean and standard deviation of one data set, frozen until the next fit.
 
-    A cached intrinsic reward stays exact only while the model's normalisers stand still.
+    A cached intrinsic reward stays exact only as long as the models' normalisers do not change.
 
     Args:
         dim: Length of the vectors.
@@ -83,8 +83,8 @@ class FittedNormalizer:
         self.std = torch.ones(dim, device=device)
 
     def fit(self, values: torch.Tensor) -> None:
-        """Replace the statistics by those of these values. ``(batch, dim)``"""
-        # Block by block: all of them in float64 would be the most memory that a learner takes.
+        """Compute the statistics of these values alone. ``(batch, dim)``"""
+        # Block by block: all values in float64 would dominate the learner's peak memory.
         blocks, count = values.split(BLOCK), len(values)
         mean = torch.stack([block.double().sum(0) for block in blocks]).sum(0) / count
         squares = torch.stack([(block.double() - mean).square().sum(0) for block in blocks])

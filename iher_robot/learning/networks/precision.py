@@ -1,41 +1,39 @@
-"""In which precision matrices are multiplied."""
+"""Precision of matrix products."""
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 
-Precision = Literal["auto", "highest", "high", "medium", "bfloat16"]
+from iher_robot.learning.config import Precision
 
 
-def products_of(precision: Precision, device: torch.device) -> torch.dtype:
-    """Type of the products between hidden layers.
+def pick_matmul_dtype(precision: Precision, device: torch.device) -> torch.dtype:
+    """Type of the matrix products between hidden layers.
 
     Args:
         precision: As in ``LearnerConfig.matmul_precision``.
-        device: Where they are computed.
+        device: Where the networks compute.
     """
-    if precision == "bfloat16" or (precision == "auto" and multiplies_bfloat16(device)):
+    if precision == "bfloat16" or (precision == "auto" and has_bfloat16(device)):
         return torch.bfloat16
     return torch.float32
 
 
-def set_float32_products(precision: Precision, device: torch.device) -> None:
-    """Set how this process multiplies what stays float32.
+def set_float32_precision(precision: Precision, device: torch.device) -> None:
+    """Set the precision of this process's float32 matrix products.
 
     Args:
         precision: As in ``LearnerConfig.matmul_precision``.
         device: Where the learner computes.
     """
-    if products_of(precision, device) == torch.bfloat16:
+    if pick_matmul_dtype(precision, device) == torch.bfloat16:
         torch.set_float32_matmul_precision("highest")  # the first and the last layer stay exact
     else:
         torch.set_float32_matmul_precision("medium" if precision == "auto" else precision)
 
 
-def multiplies_bfloat16(device: torch.device) -> bool:
-    """Whether the hardware has instructions for it, and so does it faster than float32."""
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether the hardware has bfloat16 instructions, which are faster than float32 ones."""
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     has = torch.cpu.get_capabilities()

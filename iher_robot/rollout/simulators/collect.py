@@ -126,7 +126,7 @@ class SimulatedEpisodes(Closing):
     @property
     def _next_ticks(self) -> int:
         """Ticks of the next episode, 0 if it cannot begin now."""
-        remaining = self._budget.remaining_ticks
+        remaining = self._budget.remaining.ticks
         if remaining < self._pool.episode_ticks and self._running:
             return 0
         return min(self._pool.episode_ticks, remaining)

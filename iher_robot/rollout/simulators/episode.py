@@ -14,6 +14,7 @@ from iher_robot.rollout.observer import EpisodeStart
 from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.simulators.messages import Message, pack_episodes, unpack_episodes
 from iher_robot.storage.episode import RecordedTick
+from iher_robot.storage.robot_time import RobotTime
 
 
 @dataclass(frozen=True)
@@ -128,4 +129,5 @@ class SentRecorder(Recorder):
 
     def _ticks_since_begun(self) -> int:
         driver = self._env.driver
-        return -(-(driver.now_ns - self._begun_ns) // driver.spec.control_period_ns)
+        elapsed_ns = driver.now_ns - self._begun_ns
+        return RobotTime.from_ns(elapsed_ns, driver.spec.control_period_s).ticks

@@ -1,4 +1,4 @@
-"""A file that one process holds, with a note in it of how far its holder got."""
+"""Lock file of one process, with a note of its progress that survives its crash."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from typing import Any
 
 from drivers.closing import Closing
 from iher_robot.errors import UserError
-from iher_robot.storage.files.checksum import open_line, seal_line
+from iher_robot.storage.files.checksum import dump_checked, load_checked
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _SIZE = 1024
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
 class FileHeld(UserError):
-    """Another process holds a file."""
+    """Another process holds the lock."""
 
 
 class LockFile(Closing):
-    """One process at a time holds it, until it closes the file or dies.
+    """Exclusive lock on a file, held until the process closes it or dies.
 
-    What it notes is with the system at once and never waits for a disk: after a crash of the
-    program it is exact, after a crash of the machine it counts for nothing.
+    The note goes to the page cache and is never flushed to the disk: after a crash of the process
+    it is exact, after a crash of the machine it is discarded.
 
     Attributes:
-        note: What the last holder noted; empty if nothing, if the machine was started since, if
-            it is damaged, or the file a copy.
+        note: Note of the last holder. Empty if there is none, the machine has rebooted since, the
+            file is damaged, or the file is a copy.
     """
 
     def __init__(self, path: Path, in_use: str) -> None:
-        """Take hold of a file, or make it.
+        """Lock a file, which is created if it does not exist.
 
         Args:
             path: The file.
-            in_use: The sentence for a user when another process holds it.
+            in_use: Message if another process holds the lock.
 
         Raises:
-            FileHeld: It does.
+            FileHeld: Another process holds the lock.
             UserError: The file cannot be opened.
         """
         self.path = path
@@ -62,25 +62,25 @@ class LockFile(Closing):
         """Replace the note.
 
         Args:
-            note: Plain values, half a kilobyte at most.
+            note: JSON values, at most half a kilobyte.
 
         Raises:
             UserError: The system refuses, such as on a full disk.
         """
-        mine = {"boot": _boot(), "inode": os.fstat(self._descriptor).st_ino, "pid": os.getpid()}
-        line = seal_line(mine | note).ljust(_SIZE)
+        mine = {"boot": _boot_id(), "inode": os.fstat(self._descriptor).st_ino, "pid": os.getpid()}
+        line = dump_checked(mine | note).ljust(_SIZE)
         assert len(line) == _SIZE, len(line)
         try:
-            os.pwrite(self._descriptor, line, 0)  # never shorter: a full disk keeps the old one
+            os.pwrite(self._descriptor, line, 0)  # same length: a full disk keeps the old
         except OSError as error:
             raise UserError(f"cannot write {self.path}: {error.strerror}") from error
 
     def fileno(self) -> int:
-        """Descriptor of the file: a process that inherits it holds the file, too."""
+        """File descriptor; a process that inherits it holds the lock too."""
         return self._descriptor
 
     def close(self) -> None:
-        """Let go of the file; closing twice does nothing."""
+        """Release the lock; closing twice does nothing."""
         if self._open:
             self._open = False
             os.close(self._descriptor)
@@ -89,33 +89,33 @@ class LockFile(Closing):
         return read_note(self.path)
 
 
-def hold_patiently(
-    path: Path, in_use: str, patience_s: float, give_up: Callable[[], bool] = lambda: False
+def wait_for_lock(
+    path: Path, in_use: str, timeout_s: float, give_up: Callable[[], bool] = lambda: False
 ) -> LockFile:
-    """Hold a file, once its holder has let go of it.
+    """Lock a file, waiting until its holder releases it.
 
     Args:
         path: The file.
-        in_use: The sentence for a user if its holder does not.
-        patience_s: How long to wait.
-        give_up: Whether nobody wants it any more.
+        in_use: Message if the timeout expires.
+        timeout_s: Longest time to wait.
+        give_up: Polled while waiting; True stops it.
 
     Raises:
-        FileHeld: It is still held.
+        FileHeld: It is still locked.
         UserError: The file cannot be opened.
     """
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + timeout_s
     while True:
         try:
             return LockFile(path, in_use)
         except FileHeld:
             if time.monotonic() > deadline or give_up():
                 raise
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
 
 
-def is_held(path: Path) -> bool:
-    """Whether a process holds a file; nothing is written, and a file that is not there is not."""
+def is_locked(path: Path) -> bool:
+    """Whether a process holds the lock; a missing file is not created."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -130,15 +130,15 @@ def is_held(path: Path) -> bool:
 
 
 def read_note(path: Path) -> Mapping[str, Any]:
-    """What the holder of a file noted last, see ``LockFile.note``; it may be holding it still."""
+    """Last note in a lock file, see ``LockFile.note``; the holder may still be writing."""
     try:
-        note = open_line(path.read_bytes()[:_SIZE].rstrip(), path, "lock file")
-        own = (note.get("boot"), note.get("inode")) == (_boot(), path.stat().st_ino)
+        note = load_checked(path.read_bytes()[:_SIZE].rstrip(), path, "lock file")
+        own = (note.get("boot"), note.get("inode")) == (_boot_id(), path.stat().st_ino)
     except (OSError, UserError):
         return {}
     return note if own else {}
 
 
 @cache
-def _boot() -> str:
+def _boot_id() -> str:
     return _BOOT_ID.read_text().strip()

@@ -1,4 +1,4 @@
-"""SQLite files that are whole or refused."""
+"""SQLite files, which are checked when they are opened."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from iher_robot.storage.files.atomic import TEMPORARY_SUFFIX, sync_directory
 
 @dataclass(frozen=True)
 class Format:
-    """What a kind of database looks like.
+    """Format of a kind of database.
 
     Attributes:
-        kind: Its name in messages, such as ``"ledger"``.
-        application_id: Four bytes in the file's header.
-        version: Of the format, from 1.
-        schema: Statements that make it, in the order of their execution.
+        kind: Name in messages, such as ``"ledger"``.
+        application_id: SQLite's application id, four bytes in the file's header.
+        version: Format version, from 1.
+        schema: Statements that create it, in order.
     """
 
     kind: str
@@ -36,17 +36,17 @@ class Format:
 
 
 class Database(Closing):
-    """One SQLite file with a write-ahead log, every page, table and trigger of it as it should be.
+    """SQLite file with a write-ahead log, whose pages and schema were checked.
 
-    Values can still be damaged: rows carry digests of their own.
+    The check does not cover values: rows carry checksums for that.
 
     Args:
-        path: The file; created if it does not exist, unless it is only read.
-        form: What it must look like.
-        read_only: Whether to change nothing; others may be writing meanwhile.
+        path: The file; created if it does not exist, unless ``read_only``.
+        form: The format it must have.
+        read_only: Change nothing; another process may be writing.
 
     Raises:
-        UserError: It is another file, of another version, damaged, or cannot be opened.
+        UserError: The file has another format or version, is damaged, or cannot be opened.
     """
 
     def __init__(self, path: Path, form: Format, *, read_only: bool = False) -> None:
@@ -55,16 +55,16 @@ class Database(Closing):
         if not path.exists():
             if read_only:
                 raise UserError(f"there is no {form.kind} at {path}")
-            with self._explained("make"):
+            with self._explained("create"):
                 _create(path, form)
         with self._explained("open"):
             self._connection = sqlite3.connect(
                 f"{path.resolve().as_uri()}?{_mode(path, read_only)}",
                 uri=True,
-                timeout=5.0,  # while somebody looks at it
+                timeout=5.0,  # a reader may hold it
                 isolation_level=None,
             )
-        # A damaged text shows by its digest, and not by an error of its encoding.
+        # Damaged text is found by its checksum, not by a decoding error.
         self._connection.text_factory = lambda text: text.decode(errors="replace")
         try:
             with self._explained("open"):
@@ -74,10 +74,10 @@ class Database(Closing):
             raise
 
     def durable(self, durable: bool) -> None:
-        """Whether a commit waits for the disk.
+        """Set whether a commit waits for the disk.
 
-        Without waiting it survives a crash of the program, and of the machine only once a later
-        one has waited.
+        A commit that does not wait survives a crash of the process. It survives a crash of the
+        machine only after a later commit that waited.
         """
         self.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
 
@@ -85,14 +85,14 @@ class Database(Closing):
         """Run one statement.
 
         Raises:
-            UserError: The system refuses, such as on a full disk; nothing of it is written.
-            sqlite3.IntegrityError: The statement breaks a rule of the tables.
+            UserError: The system refuses, such as on a full disk; nothing is written.
+            sqlite3.IntegrityError: The statement violates a constraint.
         """
         with self._explained("write"):
             return self._connection.execute(statement, values)
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """Return what a query finds.
+        """Return all rows of a query.
 
         Raises:
             UserError: The file cannot be read, or is damaged.
@@ -101,7 +101,7 @@ class Database(Closing):
             return self._connection.execute(statement, values).fetchall()
 
     def each_row(self, statement: str) -> Iterator[tuple[Any, ...]]:
-        """Return one after the other what a query finds, which may be much.
+        """Iterate over the rows of a query, without holding all of them in memory.
 
         Raises:
             UserError: The file cannot be read, or is damaged.
@@ -111,7 +111,7 @@ class Database(Closing):
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Read everything in the block as it was at one moment."""
+        """Read everything in the block from one snapshot."""
         self.execute("BEGIN")
         try:
             yield
@@ -121,13 +121,13 @@ class Database(Closing):
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Write all of what the block does, or nothing."""
+        """Commit everything in the block, or nothing."""
         try:
             self.execute("BEGIN IMMEDIATE")
             yield
             self.execute("COMMIT")
         except BaseException:
-            if self._connection.in_transaction:  # some errors have ended it already
+            if self._connection.in_transaction:  # some errors end it
                 self._connection.execute("ROLLBACK")
             raise
 
@@ -152,8 +152,8 @@ class Database(Closing):
         statements = {text for text in statements if not text.startswith("CREATE TABLE sqlite_")}
         (problem,) = execute("PRAGMA integrity_check(1)").fetchone()
         if statements != set(self._form.schema) or problem != "ok":
-            raise sqlite3.DatabaseError(problem if problem != "ok" else "its tables are not ours")
-        if not read_only:  # last: another program's file is left as it is
+            raise sqlite3.DatabaseError(problem if problem != "ok" else "its schema is another")
+        if not read_only:  # last: leave a foreign file unchanged
             execute("PRAGMA journal_mode = WAL")
 
     @contextmanager
@@ -175,7 +175,7 @@ class Database(Closing):
 
 
 def _create(path: Path, form: Format) -> None:
-    """Make a database under another name first: an empty file is then never a new one."""
+    """Create a database under a temporary name, so that an empty file is never a new one."""
     unfinished = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
     unfinished.unlink(missing_ok=True)
     connection = sqlite3.connect(unfinished, isolation_level=None)
@@ -197,12 +197,12 @@ def _mode(path: Path, read_only: bool) -> str:
     if not read_only:
         return "mode=rw"
     logged = path.with_name(f"{path.name}-wal").exists()
-    # To read beside a writer takes a file of shared memory, which one may not be allowed to make.
+    # Reading beside a writer needs a shared-memory file, for which permission may be missing.
     return "mode=ro" if logged or os.access(path.parent, os.W_OK) else "immutable=1"
 
 
-def row_seal(*values: object) -> bytes:
-    """Digest of the values of a row: integers, text, bytes and None."""
+def row_checksum(*values: object) -> bytes:
+    """Checksum of the values of a row: integers, text, bytes and None."""
     return hashlib.blake2b(msgpack.packb(values), digest_size=16).digest()
 
 

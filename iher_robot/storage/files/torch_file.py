@@ -1,4 +1,4 @@
-"""Torch files that are whole or refused, and of which nothing is ever executed."""
+"""Torch files with a checksum and a format version, loaded without executing code."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ from typing import Any
 import torch
 
 from iher_robot.errors import UserError
-from iher_robot.storage.files.atomic import check_seal, read_file, seal_zip, write_atomically
+from iher_robot.storage.files.atomic import read_file, write_atomically
+from iher_robot.storage.files.checksum import add_zip_checksum, check_zip
 
 
 def save_torch_file(path: Path, content: dict[str, Any], *, kind: str, version: int) -> None:
-    """Write a dict of plain values; after a crash the old file or the new one is there, whole.
+    """Write a dict of plain values atomically.
 
     The file is what ``torch.save`` writes, for ``torch.load(path, weights_only=True)``, with a
-    digest of its bytes in the archive's comment.
+    checksum in the comment of the archive.
 
     Args:
         path: The file.
         content: Dicts, lists, text, numbers, tensors.
-        kind: What it is, such as ``"policy"``.
-        version: Version of its format, from 1.
+        kind: Kind of the file, such as ``"policy"``.
+        version: Format version, from 1.
 
     Raises:
         UserError: The system refuses, such as on a full disk; the old file is still there.
     """
     buffer = io.BytesIO()
     torch.save({"format": f"iher-robot {kind}", "version": version} | content, buffer)
-    sealed = seal_zip(buffer.getvalue())
-    write_atomically(path, lambda file: file.write(sealed))
+    archive = add_zip_checksum(buffer.getvalue())
+    write_atomically(path, lambda file: file.write(archive))
 
 
 def load_torch_file(path: Path, *, kind: str, version: int, oldest: int = 1) -> dict[str, Any]:
@@ -39,20 +40,20 @@ def load_torch_file(path: Path, *, kind: str, version: int, oldest: int = 1) -> 
 
     Args:
         path: The file.
-        kind: What it should be.
-        version: The newest version that can be read.
-        oldest: The oldest one.
+        kind: Kind of the file.
+        version: Newest version that can be read.
+        oldest: Oldest version that can be read.
 
     Returns:
         The content, with ``format`` and ``version``.
 
     Raises:
-        UserError: The file is missing, truncated, damaged, foreign, or of another version.
+        UserError: The file is missing, damaged, of another kind, or of another version.
     """
-    sealed = read_file(path, f"{kind} file")
-    check_seal(sealed, path, f"{kind} file")
+    archive = read_file(path, f"{kind} file")
+    check_zip(archive, path, f"{kind} file")
     try:
-        content = torch.load(io.BytesIO(sealed), map_location="cpu", weights_only=True)
+        content = torch.load(io.BytesIO(archive), map_location="cpu", weights_only=True)
     except (
         pickle.UnpicklingError,
         RuntimeError,
@@ -66,7 +67,7 @@ def load_torch_file(path: Path, *, kind: str, version: int, oldest: int = 1) -> 
     ) as error:
         raise UserError(f"{path} is no {kind} file of iher-robot: torch cannot read it") from error
     if not isinstance(content, dict) or content.get("format") != f"iher-robot {kind}":
-        raise UserError(f"{path} is no {kind} file of iher-robot, but some other torch file")
+        raise UserError(f"{path} is a torch file, but no {kind} file of iher-robot")
     found = content.get("version")
     if type(found) is not int or found < 1:
         raise UserError(f"{path} is damaged: its format version is {found!r}")

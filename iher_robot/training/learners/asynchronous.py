@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from iher_robot.learning.imagination.source import Progress
+from iher_robot.learning.progress import Progress
 from iher_robot.rollout.simulators.child_process import ChildProcess
 from iher_robot.rollout.simulators.messages import Message, pack_episodes
 from iher_robot.training.epoch import EpochData, LearnedEpoch

@@ -11,8 +11,8 @@ from iher_robot.config.run import RunConfig
 from iher_robot.errors import UserError
 from iher_robot.evaluation.success_rate import RunSeeds, evaluate_learner
 from iher_robot.learning.episode import Episode
-from iher_robot.learning.imagination.source import Progress
 from iher_robot.learning.learner import Learner
+from iher_robot.learning.progress import Progress
 from iher_robot.training.epoch import EpochData, LearnedEpoch, Row
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import TrainingSetup

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from iher_robot.errors import UserError
-from iher_robot.learning.imagination.source import Progress
+from iher_robot.learning.progress import Progress
 from iher_robot.rollout.simulators.messages import pack_episodes
 from iher_robot.training.epoch import EpochData, LearnedEpoch
 from iher_robot.training.learners.base import SyncLearner

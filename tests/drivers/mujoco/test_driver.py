@@ -1,4 +1,4 @@
-"""What the simulated robot does beyond the contract; parity has a test of its own."""
+"""The simulated robot beyond the driver contract; parity with the reference is tested elsewhere."""
 
 from __future__ import annotations
 
@@ -85,14 +85,14 @@ def test_fingers_move_where_they_are_free_and_only_there() -> None:
     np.testing.assert_array_equal(tick(started("push"), [0, 0, 0], fingers=1.0).fingers_pos, 0.0)
 
 
-def test_objects_start_where_they_are_asked_to() -> None:
+def test_objects_start_at_the_requested_places() -> None:
     driver = started("push", object0=(1.25, 0.66))
     pose = driver.read().objects["object0"]
     np.testing.assert_allclose(pose.pos[:2], (1.25, 0.66), atol=1e-12)
     assert pose.pos[2] == pytest.approx(driver.spec.home.object_heights["object0"], abs=1e-6)
 
 
-def test_objects_that_are_not_there_cannot_be_placed() -> None:
+def test_unknown_objects_cannot_be_placed() -> None:
     driver = MujocoDriver("reach", MOCAP)
     driver.open()
     with pytest.raises(InvalidRequest, match=r"\['object0'\], objects of .*: \[\]"):

@@ -1,4 +1,4 @@
-"""A different robot is one file: what each parameter of it changes."""
+"""The parameters of a simulated Fetch robot, and the effect of each."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_the_worn_robot_differs_in_everything_physical() -> None:
         ({"sensors": {"object_rate_hz": 0.0}}, r"sensors\.object_rate_hz is 0\.0"),
     ],
 )
-def test_what_no_robot_can_be_is_said_in_a_sentence(options: Options, message: str) -> None:
+def test_invalid_settings_are_refused_in_a_sentence(options: Options, message: str) -> None:
     with pytest.raises(InvalidSpec, match=message):
         make_driver("mujoco", scene="push", **options)
 
@@ -106,7 +106,7 @@ def test_the_body_tells_robots_apart_and_the_interface_does_not() -> None:
     assert new.spec.interface_digest == soft.spec.interface_digest
     assert new.spec.body_digest != soft.spec.body_digest
     assert "gains.arm_kp: 100000.0, not 20000.0" in new.spec.body_differences(soft.spec)
-    # What nobody can know of a real robot is in neither.
+    # Unknowns of a real robot are in neither digest.
     heavy = MujocoDriver("push", fetch_robot({"object": {"mass_scale": 3.0}}))
     assert heavy.spec.body_digest == new.spec.body_digest
     assert heavy.spec.interface_digest == new.spec.interface_digest
@@ -205,7 +205,7 @@ def test_a_noisy_arm_is_where_its_noisy_joints_say() -> None:
         np.testing.assert_allclose(kinematics.ee_pos(state.q), state.ee_pos, atol=1e-4)
 
 
-def test_a_camera_has_a_rate_and_a_delay_of_its_own() -> None:
+def test_the_camera_has_its_own_rate_and_delay() -> None:
     driver = started(sensors={"object_rate_hz": 15.0, "object_delay_s": 0.03})
     data = driver.snapshot()
     address = data.model.joint("object0:joint").dofadr[0]
@@ -226,7 +226,7 @@ def test_a_camera_has_a_rate_and_a_delay_of_its_own() -> None:
     assert max(ages) > PERIOD_NS, "a 15 Hz camera is not stale at 25 Hz"
 
 
-def test_without_parameters_of_its_own_the_camera_sees_the_present() -> None:
+def test_without_rate_and_delay_the_camera_measures_in_every_tick() -> None:
     driver = started()
     for _ in range(5):
         driver.advance()

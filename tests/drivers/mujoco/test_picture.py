@@ -1,4 +1,4 @@
-"""Pictures, in a process of their own: MuJoCo reads MUJOCO_GL once, when it is imported."""
+"""Rendering, in a separate process: MuJoCo reads MUJOCO_GL once, when it is imported."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def red(picture):
     light = picture.astype(int)
     return ((light[..., 0] > 120) & (light[..., 1] < 80) & (light[..., 2] < 80)).sum()
 
-assert red(plain) == 0, "the goal's marker of the model file is nobody's goal"
+assert red(plain) == 0, "the model's own mark of a goal must be hidden"
 assert 5 < red(marked) < 500, red(marked)
-assert red(reached) == 0, "a goal that is reached is no longer red"
+assert red(reached) == 0, "the mark of a reached goal must not be red"
 changed = (reached != marked).any(axis=-1)
 assert 5 < changed.sum() < 500
 colour = reached[changed].astype(int).mean(axis=0)

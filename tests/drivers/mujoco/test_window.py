@@ -1,4 +1,4 @@
-"""The mark of a goal and the window, on scenes that need no graphics."""
+"""The goal mark and the window, on scenes without graphics."""
 
 from __future__ import annotations
 
@@ -93,13 +93,13 @@ def test_a_window_shows_one_goal_and_the_state_as_it_is(data: mujoco.MjData) -> 
         assert window.show(data, GOAL, reached)
 
     (handle,) = opened
-    assert [len(marks) for marks in handle.drawn] == [1, 1], "the mark before is taken away"
-    assert handle.drawn[0][0][1] != handle.drawn[1][0][1], "and its colour is another"
+    assert [len(marks) for marks in handle.drawn] == [1, 1], "the previous mark is removed"
+    assert handle.drawn[0][0][1] != handle.drawn[1][0][1], "the colour changes"
     np.testing.assert_array_equal(handle.data.qpos, data.qpos)
     assert data.qpos[0] == pytest.approx(before[0] + 0.02)
 
 
-def test_what_a_person_does_in_the_window_reaches_no_simulation(data: mujoco.MjData) -> None:
+def test_user_input_in_the_window_changes_no_simulation(data: mujoco.MjData) -> None:
     opened: list[Handle] = []
 
     def launch(model: mujoco.MjModel, shown: mujoco.MjData) -> Handle:

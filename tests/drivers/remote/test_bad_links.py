@@ -26,7 +26,7 @@ from drivers.remote import ZenohDriver
 from drivers.remote.messages import Empty
 from drivers.remote.state_message import HostInfo
 from iher_robot.env.controller import make_controller
-from iher_robot.env.goal_env import EpisodeAborted, make_env
+from iher_robot.env.goal_env import EpisodeAborted, GoalRobotEnv, make_env
 from tests.served.faulty_link import NO_FAULTS, TO_HOST, Faults, FaultyLink
 from tests.served.limits import assert_within_limits
 from tests.served.observer import Observer
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.real_time
 TICKS = 80
 PATIENCE_S = 60.0
 LATEST_TICKS = 3
-"""A command may be two ticks old when it comes, and moves the robot in the tick after."""
+"""A command may be two ticks old when it arrives, and is applied in the next tick."""
 CUT_S = 3.0
 EPISODES = 5
 WATCHDOG_TICKS = 5  # 0.2 s
@@ -64,8 +64,8 @@ class Drive:
     """A client that moves a robot, whatever the link does.
 
     Attributes:
-        sent: Commands that were handed over, by the state that they answer.
-        errors: What it met.
+        sent: Commands sent, by the state that they answer.
+        errors: Errors raised by the driver.
         at_start: Whether the robot was reset since it was opened.
     """
 
@@ -75,7 +75,7 @@ class Drive:
     at_start: bool = False
 
     def run(self, ticks: int) -> None:
-        """Tick until that many have passed, beginning anew where something goes wrong."""
+        """Run a number of ticks, starting again after each error."""
         controller = make_controller(self.driver.spec, True)
         done, deadline = 0, time.monotonic() + PATIENCE_S
         while done < ticks and time.monotonic() < deadline:
@@ -93,7 +93,7 @@ class Drive:
                 self.errors.append(error)
                 if isinstance(error, LeaseRefused):
                     self.driver.close()
-        assert done == ticks, f"{done} ticks in {PATIENCE_S} s, met: {self.errors}"
+        assert done == ticks, f"{done} ticks in {PATIENCE_S} s, errors: {self.errors}"
 
     def _make_ready(self) -> None:
         if not self.driver.is_open:
@@ -112,7 +112,7 @@ def _advance_until_lost(driver: ZenohDriver) -> None:
 
 
 def _driver(served: ServedRobot, link: FaultyLink) -> ZenohDriver:
-    """A client behind a bad link; what is lost must not take long to be found out."""
+    """Make a client behind a bad link, with short timeouts so that losses are detected quickly."""
     options: dict[str, Any] = {
         "connect": [link.endpoint],
         "timeout_s": 0.5,
@@ -122,7 +122,7 @@ def _driver(served: ServedRobot, link: FaultyLink) -> ZenohDriver:
         try:
             return served.driver(**options)
         except DriverError:
-            continue  # the request or its answer was lost
+            continue  # the request or its reply was lost
 
 
 def _status(observer: Observer) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _applied(seen: list[tuple[RobotState, HostInfo]]) -> list[RobotState]:
 def _assert_only_what_was_sent(applied: list[RobotState], sent: dict[int, Command]) -> None:
     answers = [state.applied.command.answers for state in applied if state.applied is not None]
     assert all(a < b for a, b in pairwise(answers)), (
-        f"each command moves the robot in one tick, and none after a later one: {answers}"
+        f"each command must be applied in one tick, and none after a later one: {answers}"
     )
     for state in applied:
         assert state.applied is not None
@@ -180,7 +180,7 @@ def test_no_expired_repeated_or_late_command_is_applied(served: ServedRobot, kin
         assert not faulty
         assert refused["expired"] > TICKS / 2
     else:
-        assert len(faulty) >= TICKS / 4, "what arrives in time still moves the robot"
+        assert len(faulty) >= TICKS / 4, "commands that arrive in time must still be applied"
 
 
 def test_late_states_from_before_a_lease_do_not_end_it(served: ServedRobot) -> None:
@@ -210,17 +210,17 @@ def test_a_cut_link_leaves_the_robot_held_and_heals(served: ServedRobot) -> None
     tripped = next(state.seq for state, info in seen if not info.armed)
     moved = max(s.seq for s, _ in seen if s.mode is Mode.MOVING and s.seq <= tripped)
     assert moved <= cut_at + LATEST_TICKS
-    assert tripped - moved <= WATCHDOG_TICKS + 1, "the host disarms who falls silent"
+    assert tripped - moved <= WATCHDOG_TICKS + 1, "the host disarms a silent client"
     still = [s for s, _ in seen if moved + WATCHDOG_TICKS <= s.seq <= cut_at + CUT_S * 25]
     assert max(float(np.abs(state.dq).max()) for state in still) < STILL
-    assert _applied(seen)[-1].seq > cut_at + CUT_S * 25, "after the cut it moves again"
+    assert _applied(seen)[-1].seq > cut_at + CUT_S * 25, "the robot moves again after the cut"
 
 
 def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
     served: ServedRobot,
 ) -> None:
+    totals: Counter[str] = Counter()
     rng = np.random.default_rng(3)
-    steps, aborted, unseen = 0, 0, 0
     with (
         Observer(served.endpoint) as observer,
         FaultyLink(served.endpoint, seed=11) as link,
@@ -231,30 +231,37 @@ def test_training_episodes_on_a_lossy_link_end_or_abort_with_a_clear_error(
             "reset_timeout_s": 20.0,
         }
         env = make_env("reach", "zenoh", **options)
-        before, charged = _status(observer)["total_ticks"]["motion"], 0
+        before = _status(observer)["total_ticks"]["motion"]
         for episode in range(EPISODES):
-            link.faults = NO_FAULTS  # the requests of a reset are not what is tested here
+            link.faults = NO_FAULTS  # the requests of a reset are not tested here
             env.reset(seed=episode)
             link.faults = FAULTS["drop"]
-            seq = env.state.seq if env.state is not None else 0
-            try:
-                for _ in range(env.episode_ticks):
-                    _, _, _, _, info = env.step(rng.uniform(-1, 1, 4).astype(np.float32))
-                    assert env.state is not None
-                    elapsed, seq = env.state.seq - seq, env.state.seq
-                    assert info["ticks"] == max(1, elapsed)
-                    assert elapsed == 1 or not info["tick_valid"], "unseen ticks teach nothing"
-                    charged += info["ticks"]
-                    steps += 1
-                    unseen += elapsed - 1
-            except EpisodeAborted as error:
-                charged += error.ticks
-                aborted += 1
+            totals.update(_run_lossy_episode(env, rng))
         link.faults = NO_FAULTS
         env.close()
         spent = _status(observer)["total_ticks"]["motion"] - before
-    assert steps >= 10
-    assert unseen > 0
-    assert link.passed[TO_HOST, "cmd"] >= steps / 2
+    assert totals["steps"] >= 10
+    assert totals["unseen"] > 0
+    assert link.passed[TO_HOST, "cmd"] >= totals["steps"] / 2
+    aborted = totals["aborted"]
     apart = aborted * (WATCHDOG_TICKS + 1) + 2 * (EPISODES - aborted)
-    assert abs(spent - charged) <= apart, "but for the ends of episodes both count the same ticks"
+    assert abs(spent - totals["charged"]) <= apart, (
+        "host and client must count the same ticks, except at the ends of episodes"
+    )
+
+
+def _run_lossy_episode(env: GoalRobotEnv, rng: np.random.Generator) -> Counter[str]:
+    """Run an episode; return its steps, ticks charged, ticks unseen, and whether it aborted."""
+    totals: Counter[str] = Counter()
+    seq = env.state.seq if env.state is not None else 0
+    try:
+        for _ in range(env.episode_ticks):
+            _, _, _, _, info = env.step(rng.uniform(-1, 1, 4).astype(np.float32))
+            assert env.state is not None
+            elapsed, seq = env.state.seq - seq, env.state.seq
+            assert info["ticks"] == max(1, elapsed)
+            assert elapsed == 1 or not info["tick_valid"], "unseen ticks must not be learned from"
+            totals.update(steps=1, charged=info["ticks"], unseen=elapsed - 1)
+    except EpisodeAborted as error:
+        totals.update(charged=error.ticks, aborted=1)
+    return totals

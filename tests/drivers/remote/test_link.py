@@ -1,4 +1,4 @@
-"""Options of a link, and opening one."""
+"""Options of a link, credentials, and connecting."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import zenoh
 from drivers.errors import InvalidSpec, LinkLost
 from drivers.remote.link import LinkOptions, link_options, open_session
 from iher_robot.host.network.certificates import make_certificates
-from tests.served.secured import FakeHost, eventually, key, open_site
-from tests.served.served_robot import free_port
+from tests.served.secured import FakeHost, key, open_site
+from tests.served.served_robot import eventually, free_port
 
 CONNECT_TIMEOUT_S = 0.5
 
@@ -25,7 +25,7 @@ def _options(*endpoints: str) -> LinkOptions:
     return link_options({"connect": list(endpoints), "connect_timeout_s": CONNECT_TIMEOUT_S})
 
 
-def test_no_option_is_needed() -> None:
+def test_every_option_has_a_default() -> None:
     options = link_options({})
     assert (options.robot, options.connect) == ("fetch", ("tcp/127.0.0.1:7447",))
 
@@ -35,15 +35,15 @@ def test_no_option_is_needed() -> None:
     [
         ({"conect": ["tcp/a:1"]}, "did you mean 'connect'"),
         ({"tls": {"ca": "a", "certificate": "b", "keys": "c"}}, "did you mean 'tls.key'"),
-        ({"robot": "Fetch 1"}, "setting robot of a remote robot is 'Fetch 1'"),
-        ({"connect": []}, "setting connect of a remote robot is []"),
-        ({"connect": "tcp/a:1"}, "setting connect of a remote robot is 'tcp/a:1'"),
+        ({"robot": "Fetch 1"}, "remote robot setting robot is 'Fetch 1'"),
+        ({"connect": []}, "remote robot setting connect is []"),
+        ({"connect": "tcp/a:1"}, "remote robot setting connect is 'tcp/a:1'"),
         ({"connect": ["a:1"]}, "'a:1', allowed: tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": ["udp/a:1"]}, "allowed: tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": ["tcp/a:1#iface=eth0"]}, "allowed: tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": ["tcp/a:99999"]}, "allowed: tcp/HOST:PORT or tls/HOST:PORT"),
         ({"connect": ["tls/a:1"]}, "needs certificates"),
-        ({"timeout_s": 0}, "setting timeout_s of a remote robot is 0"),
+        ({"timeout_s": 0}, "remote robot setting timeout_s is 0"),
         ({"connect_timeout_s": float("nan")}, "setting connect_timeout_s"),
         ({"user": "anna"}, "give both"),
         ({"password_file": "secret"}, "give both"),
@@ -63,7 +63,7 @@ def test_a_wrong_option_is_one_sentence(options: dict[str, object], sentence: st
         (b"", "has 0 lines"),
         (b"\n", "allowed: one"),
         (b"first\nsecond\n", "has 2 lines"),
-        (b"\xff", "no UTF-8"),
+        (b"\xff", "not UTF-8"),
     ],
 )
 def test_a_password_is_one_line(tmp_path: Path, content: bytes | None, sentence: str) -> None:
@@ -75,7 +75,9 @@ def test_a_password_is_one_line(tmp_path: Path, content: bytes | None, sentence:
     assert "second" not in str(error.value)
 
 
-def test_an_open_password_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_readable_password_logs_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = tmp_path / "password"
     path.write_text("secret\n")
     path.chmod(0o644)
@@ -103,7 +105,7 @@ def test_certificates_are_checked_before_connecting(tmp_path: Path) -> None:
             open_session(options)
 
 
-def test_nobody_there_says_how_to_start_a_host() -> None:
+def test_the_error_without_a_host_says_how_to_start_one() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(LinkLost) as error:
         open_session(_options(endpoint))
@@ -134,7 +136,7 @@ def test_endpoints_are_tried_in_turn() -> None:
                 assert [str(link.dst) for link in session.info.links()] == [site.endpoint]
 
 
-def test_it_listens_nowhere_and_finds_nobody_else() -> None:
+def test_a_client_does_not_listen_and_finds_only_the_host() -> None:
     site = open_site()
     with (
         FakeHost(site) as host,
@@ -145,14 +147,14 @@ def test_it_listens_nowhere_and_finds_nobody_else() -> None:
             assert [str(link.zid) for link in session.info.links()] == [str(host.session.zid())]
 
 
-def test_it_comes_back_when_the_host_does() -> None:
+def test_a_client_reconnects_when_the_host_returns() -> None:
     site = open_site()
     with FakeHost(site) as first:
         session = open_session(site.options(""))
         assert first.stopped_by(session, b"before")
     with session:
         assert eventually(lambda: not session.info.links())
-        # Longer than it may take to connect, so that coming back is no part of connecting.
+        # Longer than the connect timeout, so that reconnecting is tested and not connecting.
         time.sleep(1.2)
         with FakeHost(site) as second:
             assert eventually(lambda: _stops(second, session))
@@ -163,8 +165,8 @@ def _stops(host: FakeHost, session: zenoh.Session) -> bool:
     return ("stop", b"after") in host.received
 
 
-def test_a_foreign_zenoh_without_links_is_no_robot() -> None:
-    """A peer that refuses everything: no session without a link is handed over."""
+def test_a_zenoh_peer_without_links_is_no_host() -> None:
+    """A peer that refuses all sessions: no session without a link is returned."""
     config = zenoh.Config()
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     for name, value in {

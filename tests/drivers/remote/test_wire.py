@@ -1,4 +1,4 @@
-"""Messages: what is sent arrives as it was, and nothing else is taken for a message."""
+"""Messages survive a round trip; bytes that are no message are refused."""
 
 from __future__ import annotations
 
@@ -133,13 +133,13 @@ def test_a_damaged_state_is_refused_or_of_the_right_shapes(cut: int, bit: int, f
     assert state.q.shape == (len(robot.spec.joint_names),)
 
 
-def test_what_is_too_long_is_not_read() -> None:
+def test_a_message_that_is_too_long_is_not_read() -> None:
     with pytest.raises(WireError) as refused:
         unpack_map(pack({"v": 1, "x": bytes(MAX_BYTES)}))
     assert refused.value.reason == "too_long"
 
 
 @pytest.mark.parametrize("name", ["", "Fetch", "a/b", "a*", "-a", "a" * 65, "ä"])
-def test_what_is_no_name_makes_no_key(name: str) -> None:
+def test_an_invalid_name_makes_no_key(name: str) -> None:
     with pytest.raises(InvalidSpec, match="robot name"):
         robot_key(name, "cmd")

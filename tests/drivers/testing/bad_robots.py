@@ -126,8 +126,8 @@ class RefusesWithoutCounting(FakeRobot):
 
 class NeverExpires(FakeRobot):
     def command(self, command: Command) -> Acceptance:
-        if command.answers in self._gate._stamps:
-            self._gate._stamps[command.answers] = self.clock.now_ns()
+        if self._gate._ages.age_ns(command.answers) is not None:
+            self._gate._ages.add(command.answers, self.clock.now_ns())
         return super().command(command)
 
 
@@ -246,7 +246,7 @@ class SharesItsPosition(FakeRobot):
 
 
 class OvershootsItsCommands(FakeRobot):
-    """Says nothing of it, in its velocities neither."""
+    """Moves further than it reports, also in its velocities."""
 
     def _move(self, command: EndEffectorCommand, clipped: tuple[str, ...]) -> None:
         super()._move(command, clipped)

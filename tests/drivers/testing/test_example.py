@@ -1,4 +1,4 @@
-"""The example of `docs/drivers.md`: it stands there as it is, and does what is said there."""
+"""The example of `docs/drivers.md`: the page shows it verbatim, and it does what the page says."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_the_example_is_served_by_its_entry_point(tmp_path: Path) -> None:
 
 
 def install_example(folder: Path) -> None:
-    """Do what installing the example's package does."""
+    """Write the metadata that an installation of the example's package writes."""
     project = tomllib.loads(code_blocks("toml")[0])["project"]
     info = folder / "line_robot-0.1.0.dist-info"
     info.mkdir()
@@ -119,7 +119,7 @@ def python_path(folder: Path) -> str:
 
 
 def run(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run Python in a folder, as an author of a driver would."""
+    """Run Python in the folder of a driver's author."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
@@ -130,6 +130,6 @@ def run(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_page_lists_what_a_suite_may_declare() -> None:
+def test_the_page_lists_the_attributes_of_a_suite() -> None:
     listed = set(re.findall(r"^\| `(\w+)` \|", DOCS, flags=re.MULTILINE))
     assert listed == ContractSuite.__annotations__.keys() - {"sample_types"}

@@ -1,4 +1,4 @@
-"""A simulated robot behind a host of its own, over loopback."""
+"""A simulated robot behind a host, over loopback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The suite fails for drivers that break the contract, and says what it demands."""
+"""The conformance suite fails for drivers that break the contract, and names the requirement."""
 
 from __future__ import annotations
 
@@ -36,29 +36,49 @@ def run_test(
 
 
 @pytest.mark.parametrize(
-    ("robot", "test", "demand"),
+    ("robot", "test", "requirement"),
     [
-        (bad.AppliesAfterDisarm, "disarming_drops_what_was_accepted", "not be applied after"),
+        (bad.AppliesAfterDisarm, "disarming_drops_an_accepted_command", "not be applied after"),
         (bad.AppliesAfterDisarm, "a_stop_latches_until_it_is_cleared_by_name", "not be applied"),
-        (bad.RepeatsItsLastCommand, "a_tick_without_a_command_is_held", "accepted command is held"),
+        (
+            bad.RepeatsItsLastCommand,
+            "a_tick_without_a_command_is_held",
+            "accepted command must be held",
+        ),
         (bad.RepeatsItsLastCommand, "a_command_counts_for_one_tick", "in one tick, not again"),
         (bad.DriftsWhileHeld, "arming_moves_nothing", "held until its first command"),
-        (bad.DriftsWhileHeld, "a_stop_in_motion_brings_the_robot_to_rest", "stopped robot is held"),
-        (bad.CountsTicksTwice, "every_tick_counts_one", "seq counts one a tick, it rose by .2"),
+        (
+            bad.DriftsWhileHeld,
+            "a_stop_in_motion_brings_the_robot_to_rest",
+            "stopped robot must be held",
+        ),
+        (bad.CountsTicksTwice, "every_tick_counts_one", "rise by 1 per tick, it rose by .2"),
         (bad.StampsEveryOtherTick, "every_tick_lasts_a_control_period", "of 40000000 ns, they"),
         (bad.StopsAtTheNextTick, "a_stop_from_another_thread_ends_motion", "when stop returns"),
-        (bad.ForgetsItsStop, "a_latched_stop_survives_close_and_open", "survives close and open"),
-        (bad.KeepsTheLatestStop, "a_stop_latches_until_it_is_cleared_by_name", "the first stop is"),
-        (bad.ArmsWhenCleared, "a_stop_latches_until_it_is_cleared_by_name", "clearing never arms"),
+        (
+            bad.ForgetsItsStop,
+            "a_latched_stop_survives_close_and_open",
+            "must survive close and open",
+        ),
+        (
+            bad.KeepsTheLatestStop,
+            "a_stop_latches_until_it_is_cleared_by_name",
+            "the first stop must be kept",
+        ),
+        (
+            bad.ArmsWhenCleared,
+            "a_stop_latches_until_it_is_cleared_by_name",
+            "clear_fault must not arm",
+        ),
         (
             bad.ReportsWhatWasAsked,
             "excessive_commands_stay_within_every_limit_and_are_reported",
-            "`applied.clipped` says why",
+            "`applied.clipped` must say why",
         ),
         (
             bad.SaysNotWhyItClips,
             "excessive_commands_stay_within_every_limit_and_are_reported",
-            "`applied.clipped` says why",
+            "`applied.clipped` must say why",
         ),
         (
             bad.OvershootsItsCommands,
@@ -70,7 +90,7 @@ def run_test(
         (bad.RefusesWithoutCounting, "every_refusal_is_counted_by_its_reason", "counted by reason"),
         (
             bad.TakesNumbersThatAreNone,
-            "what_cannot_be_carried_out_is_an_error_and_moves_nothing",
+            "invalid_commands_are_errors_and_move_nothing",
             "must raise InvalidCommand",
         ),
         (bad.GivesWritableArrays, "states_cannot_be_written_to", "state.ee_pos must be read-only"),
@@ -83,23 +103,35 @@ def run_test(
             "ee_quat must have length 1",
         ),
         (bad.LosesItsObject, "objects_come_from_the_declared_sources", "the objects of the spec"),
-        (bad.IsAlwaysMoving, "the_mode_says_what_the_robot_does", "HELD"),
+        (bad.IsAlwaysMoving, "the_mode_says_what_the_robot_does", "must be held, is moving"),
         (bad.StaysOpen, "a_context_ends_held_and_disarmed_when_its_body_raises", "closed"),
-        (bad.PlacesWhatItHasNot, "impossible_requests_are_errors_and_move_nothing", "nowhere"),
+        (
+            bad.PlacesWhatItHasNot,
+            "impossible_requests_are_errors_and_move_nothing",
+            "object0 at nan must raise",
+        ),
         (bad.NeverGoesHome, "a_reset_brings_the_robot_home", "at the home of the spec"),
-        (bad.LeavesTheObjectWhereItIs, "a_reset_places_the_objects", "object0 must lie at"),
-        (bad.RemembersTheLastEpisode, "a_reset_brings_the_robot_home", "applied since the reset"),
+        (bad.LeavesTheObjectWhereItIs, "a_reset_places_the_objects", "object0 must be at"),
+        (
+            bad.RemembersTheLastEpisode,
+            "a_reset_brings_the_robot_home",
+            "must be None after a reset",
+        ),
         (bad.IsAnotherEachTime, "equal_robots_have_equal_digests", "gains.kp"),
-        (bad.SharesItsPosition, "two_drivers_are_independent", "a command moves one driver"),
+        (
+            bad.SharesItsPosition,
+            "two_drivers_are_independent",
+            "must not move another driver's robot",
+        ),
         (
             gantries.StandsStill,
             "a_command_moves_and_is_reported_in_the_next_state",
-            "go where it is told",
+            "must move as commanded",
         ),
         (
             gantries.GoesTheOtherWay,
             "a_command_moves_and_is_reported_in_the_next_state",
-            "go where it is told",
+            "must move as commanded",
         ),
         (
             gantries.MovesSlower,
@@ -109,12 +141,16 @@ def run_test(
         (
             gantries.StandsElsewhere,
             "the_kinematic_model_is_that_of_the_robot",
-            "must say where the end",
+            "must give the position of the end",
         ),
         (gantries.HidesItsSetpoint, "the_setpoint_never_jumps", "in every state"),
         (gantries.StopsDead, "the_setpoint_never_jumps", "velocity jumps by .* at disarm"),
         (gantries.CoastsWhileHeld, "a_tick_without_a_command_is_held", "bring the robot to rest"),
-        (gantries.CoastsWhileHeld, "disarming_in_motion_brings_the_robot_to_rest", "robot is held"),
+        (
+            gantries.CoastsWhileHeld,
+            "disarming_in_motion_brings_the_robot_to_rest",
+            "robot must be held",
+        ),
         (
             gantries.IgnoresTheFilter,
             "excessive_commands_stay_within_every_limit_and_are_reported",
@@ -126,27 +162,31 @@ def run_test(
             "joint . moves at",
         ),
         (gantries.SwapsTwoMotors, "each_joint_goes_where_its_setpoint_is", "where its setpoint is"),
-        (gantries.MeasuresNoSpeed, "each_joint_goes_where_its_setpoint_is", "add up to its way"),
+        (
+            gantries.MeasuresNoSpeed,
+            "each_joint_goes_where_its_setpoint_is",
+            "add up to its displacement",
+        ),
         (
             gantries.OpensItsFingersWhenHeld,
-            "fingers_go_where_they_are_told_and_stay",
-            "a held tick leaves the fingers alone",
+            "fingers_reach_their_targets_and_stay",
+            "a held tick must not move the finger",
         ),
         (gantries.TakesTheFirstCommandOfATick, "the_last_command_of_a_tick_counts", "q_target"),
         (gantries.CarriesOutOneAfterTheOther, "the_last_command_of_a_tick_counts", "q_target"),
     ],
 )
 def test_a_robot_that_breaks_the_contract_fails_at_the_test_that_names_it(
-    robot: Callable[[], RobotDriver], test: str, demand: str
+    robot: Callable[[], RobotDriver], test: str, requirement: str
 ) -> None:
     with pytest.raises(AssertionError) as failure:
         run_test(robot, f"test_{test}")
-    assert re.search(demand, str(failure.value)), failure.value
+    assert re.search(requirement, str(failure.value)), failure.value
 
 
 def test_every_call_is_tried_in_every_situation() -> None:
     name = "test_each_call_is_allowed_exactly_where_the_lifecycle_says"
-    with pytest.raises(AssertionError, match="reset on a driver that is armed; it must raise"):
+    with pytest.raises(AssertionError, match="reset on a driver that is armed must raise"):
         run_test(bad.ResetsWhileArmed, name, situation="armed", call="reset")
 
 

@@ -13,7 +13,7 @@ import pytest
 from iher_robot.errors import UserError
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.report.report import report
-from iher_robot.storage.files.checksum import seal
+from iher_robot.storage.files.checksum import add_checksum
 from iher_robot.storage.files.lock import FileHeld, LockFile
 from tests.experiments.made import NAMES, begin, commit, make_cell, make_experiment, unsealed
 
@@ -120,7 +120,7 @@ def test_a_report_elsewhere_changes_nothing_here(folder: ExperimentFolder, tmp_p
     with pytest.raises(UserError, match="is the folder of another experiment"):
         report(elsewhere, out=folder.path)
     other = unsealed(folder.metadata_path) | {"processes": [{"command": ["x"]}]}
-    (elsewhere / "experiment.json").write_text(json.dumps(seal(other)))
+    (elsewhere / "experiment.json").write_text(json.dumps(add_checksum(other)))
     with pytest.raises(UserError, match="is the folder of another experiment"):
         report(folder.path, out=elsewhere)
 
@@ -141,7 +141,7 @@ def test_a_damaged_run_does_not_prevent_the_report_of_the_others(folder: Experim
 def test_an_experiment_without_cells_has_no_report(folder: ExperimentFolder) -> None:
     begin(ExperimentFolder(folder.path.parent / "other"))
     metadata = unsealed(folder.metadata_path)
-    folder.metadata_path.write_text(json.dumps(seal(metadata | {"cells": []})))
+    folder.metadata_path.write_text(json.dumps(add_checksum(metadata | {"cells": []})))
     with pytest.raises(UserError, match="has no runs yet"):
         report(folder.path)
 

@@ -1,4 +1,4 @@
-"""Certificates for development."""
+"""The development certificate authority, and the files that it makes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _common_name(certificate: x509.Certificate) -> str | bytes:
     return attribute.value
 
 
-def test_everybody_is_certified_by_the_authority_for_a_year(tmp_path: Path) -> None:
+def test_certificates_are_signed_by_the_authority_for_a_year(tmp_path: Path) -> None:
     make_certificates(tmp_path)
     authority = _certificate(tmp_path / "authority/ca.pem")
     for name in ("host", *CLIENTS):
@@ -48,13 +48,13 @@ def test_everybody_is_certified_by_the_authority_for_a_year(tmp_path: Path) -> N
         assert timedelta(days=364) < left <= timedelta(days=365)
 
 
-def test_another_authority_certifies_nobody_here() -> None:
+def test_certificates_of_another_authority_are_not_valid() -> None:
     certified = issue(make_authority(), "operator")
     with pytest.raises(InvalidSignature):
         certified.certificate.verify_directly_issued_by(make_authority().certificate)
 
 
-def test_the_host_is_found_under_its_names(tmp_path: Path) -> None:
+def test_the_certificate_of_the_host_has_its_names(tmp_path: Path) -> None:
     make_certificates(tmp_path, hosts=["robot.local", "10.0.0.7"])
     names = _certificate(tmp_path / "host/certificate.pem").extensions.get_extension_for_class(
         x509.SubjectAlternativeName
@@ -64,13 +64,13 @@ def test_the_host_is_found_under_its_names(tmp_path: Path) -> None:
     assert addresses == {ip_address(each) for each in ("127.0.0.1", "::1", "10.0.0.7")}
 
 
-def test_only_the_owner_reads_keys(tmp_path: Path) -> None:
+def test_keys_are_readable_by_the_owner_only(tmp_path: Path) -> None:
     keys = [path for path in make_certificates(tmp_path) if path.name.endswith("key.pem")]
     assert len(keys) == 2 + len(CLIENTS)
     assert {stat.S_IMODE(path.stat().st_mode) for path in keys} == {0o600}
 
 
-def test_the_examples_are_read_back(tmp_path: Path) -> None:
+def test_the_written_files_can_be_read(tmp_path: Path) -> None:
     make_certificates(tmp_path, hosts=["fd00::7"], names=("operator", "anna"))
     security = read_security(tmp_path / "host/security.yaml")
     assert security is not None
@@ -83,10 +83,10 @@ def test_the_examples_are_read_back(tmp_path: Path) -> None:
     assert options.tls.key == tmp_path / "anna/key.pem"
 
 
-def test_nothing_is_overwritten_and_nothing_half_made(tmp_path: Path) -> None:
+def test_nothing_is_overwritten_or_left_incomplete(tmp_path: Path) -> None:
     (tmp_path / "viewer").mkdir()
     (tmp_path / "viewer/key.pem").write_text("mine")
-    with pytest.raises(UserError, match=r"viewer/key\.pem is there already"):
+    with pytest.raises(UserError, match=r"viewer/key\.pem exists and is not overwritten"):
         make_certificates(tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["key.pem"]
     assert (tmp_path / "viewer/key.pem").read_text() == "mine"
@@ -105,7 +105,7 @@ def test_a_host_is_a_name_or_an_address(tmp_path: Path, host: str) -> None:
         make_certificates(tmp_path, hosts=[host])
 
 
-def test_the_command_tells_what_it_made_and_what_for(tmp_path: Path) -> None:
+def test_the_command_prints_the_files(tmp_path: Path) -> None:
     app = typer.Typer()
     app.command()(certs)
     arguments = [str(tmp_path / "made"), "--name", "viewer", "--host", "10.0.0.7"]

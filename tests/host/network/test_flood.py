@@ -69,15 +69,15 @@ def test_a_flood_is_refused_and_counted_while_valid_commands_move_the_robot(tmp_
     assert_within_limits(seen, observer.spec)
     applied = sum(s.applied is not None and s.applied.tick == s.seq for s, _ in seen)
     assert sum(sent.values()) == COUNT
-    for late in ("expired", "disarmed"):  # of the client that moves, on a machine that is busy
+    for late in ("expired", "disarmed"):  # of the client that moves, on a busy machine
         assert late not in sent
         refused.pop(late, None)
-    assert refused.total() == COUNT, "each is counted, and none twice"
-    # Where the machine keeps the gateway waiting, some are refused unread.
+    assert refused.total() == COUNT, "each message is counted once"
+    # On a busy machine the gateway refuses some unread.
     unread = sum(refused[reason] for reason in OVERRUNS)
     assert unread <= 0.1 * COUNT
     sent.pop(ANY, None)
-    assert (sent - refused).total() <= unread, "under its reason"
+    assert (sent - refused).total() <= unread, "each message is counted under its reason"
     assert len(seen) > 100
     assert applied >= 0.8 * len(seen), "meanwhile valid commands move the robot"
     assert status["fault"] is None
@@ -88,7 +88,7 @@ def _move_while_it_runs(driver: ZenohDriver, process: subprocess.Popen[str]) -> 
     tick = 0
     while process.poll() is None:
         try:
-            if not driver.is_armed:  # where the machine kept this client waiting
+            if not driver.is_armed:  # a busy machine has delayed this client
                 driver.arm()
             action = 0.5 * np.array([np.cos(tick / 4), np.sin(tick / 4), 0.0, 0.0])
             driver.command(controller.command(action, driver.read()))
@@ -101,9 +101,7 @@ def _move_while_it_runs(driver: ZenohDriver, process: subprocess.Popen[str]) -> 
 @pytest.mark.parametrize(
     ("key", "kind"), [("cmd", ""), ("stop", "request_"), ("object/x", "object_")]
 )
-def test_a_burst_that_no_host_can_deal_with_is_counted_all_the_same(
-    tmp_path: Path, key: str, kind: str
-) -> None:
+def test_a_burst_beyond_capacity_is_counted(tmp_path: Path, key: str, kind: str) -> None:
     with ServedRobot(tmp_path) as served, Observer(served.endpoint) as observer:
         publisher = observer.client._session.declare_publisher(
             f"iher/v1/fetch/{key}", congestion_control=zenoh.CongestionControl.BLOCK
@@ -120,7 +118,7 @@ def test_a_burst_that_no_host_can_deal_with_is_counted_all_the_same(
         assert refused()[f"{kind}version"] > 0
 
 
-def test_what_the_holder_of_the_lease_sends_wrongly_is_refused_and_what_is_too_much_is_cut(
+def test_invalid_commands_with_the_lease_are_refused_and_excessive_ones_cut(
     tmp_path: Path,
 ) -> None:
     sent: Counter[str] = Counter()
@@ -153,10 +151,10 @@ def test_what_the_holder_of_the_lease_sends_wrongly_is_refused_and_what_is_too_m
         seen = [(state, info) for state, info in observer.seen if info.armed]
     refused = Counter(status["refusals"])
     assert refused.keys() == sent.keys()
-    # A busy link drops some on the way, and on a busy machine others come too late.
-    assert refused["invalid"] <= sent["invalid"], "none is invalid that was not sent so"
+    # A busy link drops some, and on a busy machine others expire.
+    assert refused["invalid"] <= sent["invalid"], "only invalid commands are refused as invalid"
     assert 0.9 * sent.total() <= refused.total() <= sent.total() + 0.2 * TICKS
-    assert status["clips"], "what is too much is cut"
+    assert status["clips"], "excessive commands are cut"
     assert_within_limits(seen, driver.spec)
     applied = [s.applied for s, _ in seen if s.applied is not None and s.applied.tick == s.seq]
     assert len(applied) >= 0.8 * TICKS
@@ -164,7 +162,7 @@ def test_what_the_holder_of_the_lease_sends_wrongly_is_refused_and_what_is_too_m
 
 
 def _wrong(command: JointCommand) -> list[tuple[str, Command]]:
-    """Commands that no check before the robot's own can tell from good ones, and why not."""
+    """Commands that only the robot's own check can refuse, with the reason."""
     few = command.q_target[1:]
     return [
         ("expired", dataclasses.replace(command, answers=max(0, command.answers - 10))),

@@ -1,8 +1,9 @@
-"""Who gets what through, over real sessions on loopback."""
+"""Rights of each role, over real sessions on loopback."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,6 @@ from tests.served.secured import (
     FakeHost,
     certified_site,
     connect,
-    eventually,
     forged_options,
     goes_through,
     key,
@@ -24,6 +24,7 @@ from tests.served.secured import (
     password_options,
     password_site,
 )
+from tests.served.served_robot import eventually
 
 WATCH = {"state", "put stop", "rpc spec", "rpc status", "rpc ping", "rpc stop"}
 MOVE = {"put cmd", "rpc lease", "rpc arm", "rpc disarm", "rpc reset", "rpc hands_clear"}
@@ -54,24 +55,24 @@ def test_the_roles_cover_every_request() -> None:
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_a_role_gets_through_exactly_what_it_may(host: FakeHost, role: str) -> None:
+def test_each_role_has_exactly_its_rights(host: FakeHost, role: str) -> None:
     with open_session(host.site.options(role)) as client:
         assert goes_through(host, client) == MAY[role]
 
 
-def test_who_has_no_role_gets_nothing_through(host: FakeHost) -> None:
+def test_a_client_without_a_role_has_no_rights(host: FakeHost) -> None:
     with open_session(host.site.options(host.site.stranger)) as client:
         assert goes_through(host, client, patience_s=0.3) == set()
 
 
-def test_who_cannot_log_in_has_no_link(host: FakeHost, folder: Path) -> None:
+def test_a_client_that_cannot_log_in_has_no_link(host: FakeHost, folder: Path) -> None:
     endpoint = host.site.endpoint
     if endpoint.startswith("tls/"):
         refused = [forged_options(folder, endpoint)]
     else:
         refused = [
             password_options(folder, endpoint, "operator", "wrong"),
-            password_options(folder, endpoint, "nobody", "of the nobody"),
+            password_options(folder, endpoint, "unknown", "of the unknown"),
             link_options({"connect": [endpoint], "connect_timeout_s": 1.0}),
         ]
     for options in refused:
@@ -81,7 +82,7 @@ def test_who_cannot_log_in_has_no_link(host: FakeHost, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
-def test_another_spelling_of_a_key_opens_nothing(host: FakeHost, mode: str) -> None:
+def test_other_spellings_of_a_key_grant_no_rights(host: FakeHost, mode: str) -> None:
     with connect(host.site.options("viewer"), mode) as viewer:
         host.received.clear()
         host.asked.clear()
@@ -100,15 +101,15 @@ def test_another_spelling_of_a_key_opens_nothing(host: FakeHost, mode: str) -> N
         assert host.asked == []
 
 
-# An attacker may run Zenoh as he likes; for a `client`, a host would pass on messages.
+# An attacker may use any mode of Zenoh; from a `client`, a host would forward messages.
 @pytest.mark.parametrize("mode", ["peer", "client"])
 class TestClientsOfOneHost:
-    def test_cannot_pass_for_it_with_a_state(self, host: FakeHost, mode: str) -> None:
-        with _two(host, mode) as (viewer, victim):
-            assert _states_heard(host, viewer, victim) == {b"of the host"}
+    def test_cannot_publish_a_state_as_the_host(self, host: FakeHost, mode: str) -> None:
+        with _two_clients(host, mode) as (viewer, victim):
+            assert _states_received(host, viewer, victim) == {b"of the host"}
 
-    def test_cannot_answer_for_it(self, host: FakeHost, mode: str) -> None:
-        with _two(host, mode) as (viewer, victim):
+    def test_cannot_answer_requests_as_the_host(self, host: FakeHost, mode: str) -> None:
+        with _two_clients(host, mode) as (viewer, victim):
             declared = [
                 viewer.declare_queryable(key("rpc", name), lambda q: q.reply(q.key_expr, b"viewer"))
                 for name in ("spec", "*")
@@ -124,11 +125,11 @@ class TestClientsOfOneHost:
             assert answers == [b"host"]
             assert declared
 
-    def test_cannot_stand_in_for_its_life(self, host: FakeHost, mode: str) -> None:
+    def test_cannot_declare_the_liveliness_of_the_host(self, host: FakeHost, mode: str) -> None:
         def lives(name: str) -> bool:
             return any(reply.ok for reply in victim.liveliness().get(key("alive", name)))
 
-        with _two(host, mode) as (viewer, victim):
+        with _two_clients(host, mode) as (viewer, victim):
             assert eventually(lambda: lives("host"))
             token = viewer.liveliness().declare_token(key("alive", "host"))
             assert host.stopped_by(viewer, b"after living")
@@ -139,58 +140,53 @@ class TestClientsOfOneHost:
                 host.alive = host.session.liveliness().declare_token(key("alive", "host"))
             token.undeclare()
 
-    def test_show_it_that_they_live(self, host: FakeHost, mode: str) -> None:
-        with _two(host, mode) as (viewer, _):
+    def test_can_declare_their_own_liveliness(self, host: FakeHost, mode: str) -> None:
+        with _two_clients(host, mode) as (viewer, _):
             token = viewer.liveliness().declare_token(key("alive", "somebody"))
             assert eventually(lambda: any(host.session.liveliness().get(key("alive", "somebody"))))
             token.undeclare()
 
 
-def test_access_control_is_what_stops_a_false_state(folder: Path) -> None:
+def test_access_control_prevents_false_states(folder: Path) -> None:
     host = FakeHost(password_site(folder), access_control=False)
-    with host, _two(host, "client") as (viewer, victim):
-        assert b"false" in _states_heard(host, viewer, victim)
+    with host, _two_clients(host, "client") as (viewer, victim):
+        assert b"false" in _states_received(host, viewer, victim)
 
 
-def test_without_security_anybody_commands_and_nobody_passes_for_the_host() -> None:
+def test_without_security_all_clients_command_and_none_impersonates_the_host() -> None:
     with FakeHost(open_site()) as host:
         with open_session(host.site.options("")) as client:
             assert goes_through(host, client) == MAY["operator"]
-        with _two(host, "client") as (viewer, victim):
-            assert _states_heard(host, viewer, victim) == {b"of the host"}
+        with _two_clients(host, "client") as (viewer, victim):
+            assert _states_received(host, viewer, victim) == {b"of the host"}
 
 
-class _two:  # noqa: N801 - reads as a function
-    """A viewer and a learner."""
-
-    def __init__(self, host: FakeHost, mode: str) -> None:
-        self._sessions = [connect(host.site.options(name), mode) for name in ("viewer", "learner")]
-
-    def __enter__(self) -> tuple[zenoh.Session, zenoh.Session]:
-        viewer, learner = self._sessions
-        return viewer, learner
-
-    def __exit__(self, *_: object) -> None:
-        for session in self._sessions:
-            session.close()
+@contextmanager
+def _two_clients(host: FakeHost, mode: str) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
+    """Yield a viewer and a learner."""
+    with (
+        connect(host.site.options("viewer"), mode) as viewer,
+        connect(host.site.options("learner"), mode) as learner,
+    ):
+        yield viewer, learner
 
 
-def _states_heard(host: FakeHost, viewer: zenoh.Session, victim: zenoh.Session) -> set[bytes]:
-    """Let a viewer publish a state, then the host, and return what another client hears."""
-    heard: list[bytes] = []
+def _states_received(host: FakeHost, viewer: zenoh.Session, victim: zenoh.Session) -> set[bytes]:
+    """Publish states as a viewer and as the host; return those that another client received."""
+    received: list[bytes] = []
     subscriber = victim.declare_subscriber(
-        key("state"), lambda sample: heard.append(sample.payload.to_bytes())
+        key("state"), lambda sample: received.append(sample.payload.to_bytes())
     )
 
     def publish() -> bool:
         host.session.put(key("state"), b"of the host")
-        return b"of the host" in heard
+        return b"of the host" in received
 
     assert eventually(publish)
     for name in ("state", "*", "**"):
         viewer.put(f"{key()}/{name}", b"false")
     assert host.stopped_by(viewer, b"after the false state")
-    before = len(heard)
-    assert eventually(lambda: publish() and len(heard) > before)
+    before = len(received)
+    assert eventually(lambda: publish() and len(received) > before)
     subscriber.undeclare()
-    return set(heard)
+    return set(received)

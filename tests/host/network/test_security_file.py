@@ -1,4 +1,4 @@
-"""What a host refuses to listen with."""
+"""Security files and endpoints with which a host refuses to listen."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def test_a_tls_endpoint_needs_certificates(users: HostSecurity, tls: HostSecurit
     gateway_config("fetch", ["tls/0.0.0.0:1"], tls, insecure=False)
 
 
-def test_a_tcp_endpoint_needs_users_where_names_are_asked_for(tls: HostSecurity) -> None:
-    with pytest.raises(UserError, match="nobody shows a certificate; listen on tls/127"):
+def test_a_tcp_endpoint_with_roles_needs_users(tls: HostSecurity) -> None:
+    with pytest.raises(UserError, match="clients have no certificate; listen on tls/127"):
         gateway_config("fetch", ["tcp/127.0.0.1:1"], tls, insecure=False)
 
 
@@ -90,8 +90,8 @@ def test_no_file_is_no_security() -> None:
     [
         ("", "give tls, users or both"),
         ("roles: {operator: [anna]}", "give tls, users or both"),
-        ("users: users", "nobody has a role"),
-        ("users: users\nroles: {operator: []}", "nobody has a role"),
+        ("users: users", "no client has a role"),
+        ("users: users\nroles: {operator: []}", "no client has a role"),
         ("users: users\nroles: {operator: ['']}", "roles.operator has an empty name"),
         ("users: users\nroles: {operators: [anna]}", "did you mean 'roles.operator'"),
         ("user: users", "did you mean 'users'"),
@@ -104,7 +104,7 @@ def test_no_file_is_no_security() -> None:
         ("- users", "expected lines of"),
     ],
 )
-def test_what_contradicts_itself_is_refused(tmp_path: Path, content: str, sentence: str) -> None:
+def test_a_contradictory_file_is_refused(tmp_path: Path, content: str, sentence: str) -> None:
     with pytest.raises(UserError) as error:
         _read(tmp_path, content, users="anna:secret\n")
     assert sentence in str(error.value)
@@ -117,9 +117,9 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path, content: str, senten
         ("anna\n", "line 1: allowed: user:password"),
         ("\nanna:\n", "line 2: allowed: user:password"),
         (":secret\n", "line 1: allowed: user:password"),
-        ("anna:a\nanna:b\n", "line 2: 'anna' is there twice"),
+        ("anna:a\nanna:b\n", "line 2: 'anna' appears twice"),
         ("\n", "is empty"),
-        (b"\xff:\xff\n", "no UTF-8"),
+        (b"\xff:\xff\n", "not UTF-8"),
     ],
 )
 def test_a_file_of_users_is_checked_and_not_shown(
@@ -129,7 +129,7 @@ def test_a_file_of_users_is_checked_and_not_shown(
         _read(tmp_path, "users: users\nroles: {operator: [anna]}\n", users)
 
 
-def test_open_passwords_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_readable_passwords_log_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     content = "users: users\nroles: {operator: [anna]}\n"
     with caplog.at_level(logging.WARNING):
         _read(tmp_path, content, "anna:secret\n", mode=0o600)

@@ -1,4 +1,4 @@
-"""Contact first: the second policy learns to reach the object, rests, and is kept."""
+"""The second policy: learning to reach the object, end of training, resuming."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import torch
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.contact.approach import ContactPolicy
 from iher_robot.learning.contact.learner import TOUCH_WINDOW, ContactLearner
-from iher_robot.learning.contact.model import EffectorGoals, gap
+from iher_robot.learning.contact.model import EffectorGoals, effector_distance
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.fakes import CPU, replay_of, same, saved_and_loaded
 from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals, observe, rollout
-from tests.learning.quick_learner import new, quick, real
-from tests.learning.stand_ins import CPU, replay_of, same, saved_and_loaded
+from tests.learning.small_learner import new, quick, real
 
 RADIUS_M = 0.05
 DDPG = {"hidden": (64, 64), "batch_size": 128, "gamma": 0.9, "actor_lr": 3e-3, "critic_lr": 3e-3}
@@ -47,7 +47,7 @@ def towards_mark(policy: ContactPolicy, observation: torch.Tensor) -> torch.Tens
 
 
 def touches(policy: ContactPolicy | None, episodes: int = 40) -> float:
-    """Share of episodes, of twice the usual length, that come to the mark."""
+    """Share of episodes, of twice the usual length, that reach the mark."""
     rng, touched = np.random.default_rng(5), 0
     for _ in range(episodes):
         position, velocity = rng.uniform(-0.1, 0.1, size=2), np.zeros(2)
@@ -65,7 +65,7 @@ def touches(policy: ContactPolicy | None, episodes: int = 40) -> float:
 
 
 def approaching(touch: bool) -> Episode:
-    """An episode that passes by the mark, or stays where it is."""
+    """An episode that passes the mark, or does not move."""
     episode = random_episodes(1)[0]
     places = np.zeros((SHAPES.episode_ticks + 1, 2))
     if touch:
@@ -93,20 +93,20 @@ def test_the_goals_reward_is_that_of_the_radius() -> None:
     observation = torch.as_tensor(random_episodes(1)[0].observations)
     assert torch.equal(goals.achieved_goal(observation), observation[:, :2])
     expected = np.linalg.norm(observation[:, :2].numpy() - MARK, axis=-1)
-    np.testing.assert_allclose(gap(PointMassGoals(), observation), expected)
+    np.testing.assert_allclose(effector_distance(PointMassGoals(), observation), expected)
 
 
-def test_a_curiosity_that_is_stored_with_the_data_is_not_its_own() -> None:
+def test_stored_intrinsic_rewards_are_ignored() -> None:
     losses = []
     for reward in (0.0, 0.8):
         learner = contact_learner()
         replay = fed(learner)
-        replay.store_intrinsic(*replay.every_step(), torch.tensor(reward))
+        replay.store_intrinsic(*replay.all_indices(), torch.tensor(reward))
         losses.append(learner.learn(replay, 3, None).means())
     assert losses[0] == losses[1]
 
 
-def test_it_rests_once_enough_of_the_newest_episodes_touched() -> None:
+def test_training_ends_once_enough_of_the_newest_episodes_touched() -> None:
     learner = contact_learner(until_touched=0.9)
     replay = fed(learner, 4)
 
@@ -124,7 +124,7 @@ def test_it_rests_once_enough_of_the_newest_episodes_touched() -> None:
     assert newest(*[False] * 20)
 
 
-def test_a_snapshot_does_not_follow_later_updates() -> None:
+def test_a_snapshot_is_independent_of_later_updates() -> None:
     learner = contact_learner()
     replay = fed(learner, 10)
     snapshot = learner.snapshot(CPU)
@@ -136,7 +136,7 @@ def test_a_snapshot_does_not_follow_later_updates() -> None:
     assert not torch.allclose(towards_mark(learner.snapshot(CPU), observation), before)
 
 
-def test_a_restored_one_goes_on_as_the_original_does() -> None:
+def test_a_restored_contact_learner_continues_like_the_original() -> None:
     original = contact_learner()
     replay = fed(original, TOUCH_WINDOW)
     original.learn(replay, 5, None)
@@ -154,7 +154,7 @@ def test_a_restored_one_goes_on_as_the_original_does() -> None:
 
 
 @pytest.mark.parametrize("per_step", [0.25, 1.0])
-def test_its_updates_follow_from_the_fresh_steps(per_step: float) -> None:
+def test_its_updates_are_proportional_to_the_fresh_steps(per_step: float) -> None:
     learner = new(config(updates_per_step=per_step), contact_model=PointMassGoals())
     assert learner.contact is not None
     for epoch, count in ((1, 4), (2, 2)):
@@ -164,7 +164,7 @@ def test_its_updates_follow_from_the_fresh_steps(per_step: float) -> None:
     assert learner.contact.state_dict()["ddpg"]["updates"] == expected
 
 
-def test_a_learner_with_contact_is_resumed_as_if_it_had_not_stopped() -> None:
+def test_resuming_a_learner_with_contact_equals_no_interruption() -> None:
     settings = quick(
         contact={"enabled": True, "updates_per_step": 0.5},
         ddpg={"critics": 3, "target_subset": 2, "actor_period": 2, "target_update": "update"},
@@ -186,7 +186,7 @@ def test_a_learner_with_contact_is_resumed_as_if_it_had_not_stopped() -> None:
     assert same(whole.policy.snapshot(), resumed.policy.snapshot())
 
 
-def test_the_explorer_of_a_learner_goes_to_the_object_only_where_contact_is_enabled() -> None:
+def test_the_explorer_goes_to_the_object_only_if_contact_is_enabled() -> None:
     observation = torch.as_tensor(observe(np.zeros(2), np.zeros(2)), dtype=torch.float32)[None]
     quiet = {"noise_std": 0.0, "random_fraction": 0.0}
     for enabled in (False, True):

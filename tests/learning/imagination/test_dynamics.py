@@ -1,4 +1,4 @@
-"""The dynamics ensemble: what it learns, from what, and how its members differ."""
+"""The dynamics ensemble: accuracy, weights of its data, differences between members."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble, recency_weights
 from iher_robot.learning.replay import EpisodeReplay
-from tests.learning.point_mass import SHAPES, rollout
-from tests.learning.stand_ins import (
+from tests.learning.fakes import (
     CPU,
     FarAwaySymmetry,
     drifting_ensemble,
@@ -26,6 +25,7 @@ from tests.learning.stand_ins import (
     store,
     stored,
 )
+from tests.learning.point_mass import SHAPES, rollout
 
 Form = Literal["one-plus", "printed"]
 
@@ -125,16 +125,16 @@ def test_training_reports_the_mean_squared_error_in_normalised_units(
     assert trained.train(replay, 1, batch_size=2000, generator=generator()) < 0.02 * reported
 
 
-def test_members_start_from_weights_of_their_own() -> None:
+def test_members_have_different_initial_weights() -> None:
     observation, action, _ = stored(real_replay(2))
     predictions = untrained(5).predict(observation, action)
     for one, other in itertools.combinations(predictions, 2):
         assert (one - other).abs().mean() > 0.01
 
 
-def test_members_are_trained_on_batches_of_their_own() -> None:
+def test_members_are_trained_on_different_batches() -> None:
     replay = real_replay(5)
-    ensemble = drifting_ensemble(0.0, 0.0, 0.0)  # equal members, so only batches can part them
+    ensemble = drifting_ensemble(0.0, 0.0, 0.0)  # equal: only batches can make them differ
     ensemble.fit_normalizers(replay, generator())
     ensemble.train(replay, 20, batch_size=8, generator=generator())
     observation, action, _ = stored(replay)
@@ -159,7 +159,7 @@ def test_statistics_are_those_of_every_stored_transition() -> None:
     np.testing.assert_array_equal(ensemble.obs_high, every.max(0))
 
 
-def test_statistics_stand_still_until_the_next_fit() -> None:
+def test_statistics_do_not_change_until_the_next_fit() -> None:
     replay = real_replay(4)
     ensemble = untrained()
     ensemble.fit_normalizers(replay, generator())
@@ -185,7 +185,7 @@ def test_an_entry_that_never_changes_is_normalised_with_the_floor() -> None:
     assert ensemble.predict(observation, action).isfinite().all()
 
 
-def test_a_restored_ensemble_trains_on_as_the_original_does(trained: DynamicsEnsemble) -> None:
+def test_a_restored_ensemble_trains_like_the_original(trained: DynamicsEnsemble) -> None:
     replay = real_replay(3)
     copies = untrained(seed=8), untrained(seed=9)
     state = trained.state_dict()
@@ -198,7 +198,7 @@ def test_a_restored_ensemble_trains_on_as_the_original_does(trained: DynamicsEns
     assert torch.equal(one, other)
     assert not torch.equal(one, trained.predict(observation, action))
     untouched = untrained(seed=8)
-    untouched.load_state_dict(state)  # neither copy has written to what it loaded
+    untouched.load_state_dict(state)  # no copy has written to the state that it loaded
     assert torch.equal(untouched.predict(observation, action), trained.predict(observation, action))
     assert torch.equal(untouched.obs_low, trained.obs_low)
     assert torch.equal(untouched.obs_high, trained.obs_high)
@@ -216,7 +216,7 @@ def test_with_a_symmetry_statistics_and_training_are_those_of_images() -> None:
     mean = ensemble.input_normalizer.mean
     assert mean[:2].tolist() == pytest.approx([150.0, 150.0], abs=15)
     torch.testing.assert_close(mean[-2:], -action.mean(0))
-    # Images have their actions turned round, so that models of them see opposite motions.
+    # Images have reversed actions, so that their models see opposite motions.
     ensemble.train(replay, 300, batch_size=64, generator=generator())
     observation = observation + torch.tensor([150.0, 150.0, 0, 0, 0, 0])
     velocity = following[:, 2:4]
@@ -225,14 +225,14 @@ def test_with_a_symmetry_statistics_and_training_are_those_of_images() -> None:
         assert error.square().mean() < 0.05 * velocity.square().mean()
 
 
-def test_training_on_values_that_are_not_finite_fails_with_what_to_do() -> None:
+def test_training_on_values_that_are_not_finite_fails_and_names_the_remedy() -> None:
     replay = real_replay(2)
     ensemble = drifting_ensemble(float("nan"), 0.0)
     with pytest.raises(FloatingPointError, match=r"diverged; lower learner\.dynamics\.lr"):
         ensemble.train(replay, 1, batch_size=8, generator=generator())
 
 
-def test_relative_models_do_not_see_where_the_scene_is() -> None:
+def test_relative_models_are_invariant_to_a_shift_of_the_scene() -> None:
     shapes = dataclasses.replace(SHAPES, shifted_entries=(0, 1))
     config = DynamicsConfig(hidden=(16,), inputs="relative")
     ensemble = DynamicsEnsemble(shapes, config, generator=generator(), device=CPU)

@@ -15,8 +15,8 @@ from iher_robot.learning.imagination.intrinsic import (
     intrinsic_reward,
     refresh_intrinsic,
 )
+from tests.learning.fakes import generator, linear_ensemble, marked_episode, replay_of
 from tests.learning.point_mass import PointMassGoals
-from tests.learning.stand_ins import generator, linear_ensemble, marked_episode, replay_of
 
 
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(0, 2**31))

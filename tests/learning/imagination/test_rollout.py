@@ -1,4 +1,4 @@
-"""Imaginary rollouts through models whose predictions are known."""
+"""Imagined rollouts with models whose predictions are known."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import torch
 from iher_robot.learning.config import DynamicsConfig
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.rollout import ImaginedRollouts, imagine
-from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals
-from tests.learning.stand_ins import (
+from tests.learning.fakes import (
     CPU,
     deviation,
     drifting_ensemble,
@@ -17,6 +16,7 @@ from tests.learning.stand_ins import (
     linear_ensemble,
     perfect_ensemble,
 )
+from tests.learning.point_mass import MARK, SHAPES, STEP, PointMassGoals
 
 OBS = SHAPES.obs_dim
 
@@ -24,7 +24,7 @@ OBS = SHAPES.obs_dim
 def roll(
     ensemble: DynamicsEnsemble, start: torch.Tensor, *, ticks: int = 12, margin: float = 0.1
 ) -> ImaginedRollouts:
-    """Rollouts whose goals carry their row's number and whose action is a function of the state."""
+    """Rollouts whose goals are their row's number and whose action is a function of the state."""
     rows = torch.arange(float(len(start)))
     return imagine(
         ensemble,
@@ -40,12 +40,12 @@ def roll(
 
 
 def test_a_member_is_drawn_uniformly_for_each_rollout_at_each_step() -> None:
-    # Member i moves entry 2 by i, so that every step says who predicted it.
+    # Member i moves entry 2 by i, which identifies the member of every step.
     rollouts = roll(drifting_ensemble(0.0, 1.0, 2.0, 3.0), torch.zeros(400, OBS), ticks=40)
     member = rollouts.observations[:, :, 2].diff(dim=1).long()
     assert member.shape == (400, 40)
     assert deviation(torch.bincount(member.flatten(), minlength=4), torch.ones(4)) < 4
-    # Neither the rollout's previous draw nor its neighbour's tells anything about a draw.
+    # A draw is independent of the rollout's previous one and of its neighbour's.
     for one, other in ((member[:, :-1], member[:, 1:]), (member[:-1], member[1:])):
         pairs = torch.bincount((4 * one + other).flatten(), minlength=16)
         assert deviation(pairs, torch.ones(16)) < 4
@@ -123,7 +123,7 @@ def test_rollouts_that_are_not_finite_are_dropped_and_counted_and_the_others_kep
     assert rollouts.spreads.isfinite().all()
 
 
-def test_a_start_that_is_not_finite_is_dropped_even_if_the_model_does_not_see_it() -> None:
+def test_a_start_that_is_not_finite_is_dropped_even_if_predictions_are_finite() -> None:
     # Its only hidden unit is 0 at such a start, so that every prediction is finite.
     config = DynamicsConfig(members=1, hidden=(1,))
     ensemble = DynamicsEnsemble(SHAPES, config, generator=generator(), device=CPU)
@@ -137,7 +137,7 @@ def test_a_start_that_is_not_finite_is_dropped_even_if_the_model_does_not_see_it
     assert rollouts.goals[:, 0].tolist() == [0.0, 2.0]
 
 
-def test_where_every_rollout_diverges_none_is_kept() -> None:
+def test_no_rollout_is_kept_if_all_diverge() -> None:
     rollouts = roll(drifting_ensemble(float("nan"), 0.0), torch.zeros(3, OBS))
     assert rollouts.dropped == 3
     assert rollouts.observations.shape == (0, 13, OBS)

@@ -1,4 +1,4 @@
-"""The imaginary source: who imagines, with which model, how much, and what is kept."""
+"""The imaginary source: policies, models, amounts and order of its rollouts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from iher_robot.learning.imagination import source as imaginary_source
 from iher_robot.learning.imagination.dynamics import DynamicsEnsemble
 from iher_robot.learning.imagination.source import ImaginarySource
 from iher_robot.learning.policy import Policy
-from iher_robot.learning.replay import EpisodeReplay, Transitions
-from tests.learning.point_mass import SHAPES, PointMassGoals
-from tests.learning.stand_ins import (
+from iher_robot.learning.replay import EpisodeReplay
+from iher_robot.learning.transitions import Transitions
+from tests.learning.fakes import (
     CPU,
     OBS,
     drifting_ensemble,
@@ -27,6 +27,7 @@ from tests.learning.stand_ins import (
     replay_of,
     stored,
 )
+from tests.learning.point_mass import SHAPES, PointMassGoals
 
 TICKS = SHAPES.episode_ticks
 STARTS = torch.zeros(1, OBS)
@@ -35,7 +36,7 @@ SCHEDULE = {"cycles": 3, "imaginary_rollouts": 2}
 
 
 def source(config: LearnerConfig, starts: torch.Tensor = STARTS) -> ImaginarySource:
-    """A source whose real episodes started there."""
+    """A source whose real episodes have these starts."""
     real, count = replay_of(), len(starts)
     observations = starts.unsqueeze(1).expand(count, 2, OBS)
     actions, goals = torch.zeros(count, 1, SHAPES.action_dim), torch.zeros(count, SHAPES.goal_dim)
@@ -69,7 +70,7 @@ def refill(
 
 
 def actors(imagined: ImaginarySource) -> list[float]:
-    """The bias of the policy that acted in each stored episode, in the order of storing."""
+    """Bias of the policy that acted in each stored episode, in order."""
     _, action, _ = stored(imagined.replay)
     return [round(a, 3) for a in torch.atanh(action[::TICKS, 0]).tolist()]
 
@@ -101,7 +102,7 @@ def test_the_current_policy_comes_first_then_copies_from_the_newest_to_the_oldes
     assert actors(imagined) == [0.9] * 6 + [0.6] * 6 + [0.4] * 4
 
 
-def test_the_newest_copy_is_used_once_where_it_is_the_current_policy() -> None:
+def test_the_newest_copy_is_used_once_if_it_is_the_current_policy() -> None:
     imagined = filled(quiet_config(schedule=SCHEDULE), cycles=8)
     for cycle in (2, 4, 6):
         imagined.keep_copy(linear_policy((cycle / 10, 0.0)), cycle)
@@ -116,7 +117,7 @@ def test_too_few_copies_share_the_level_equally() -> None:
     assert actors(imagined) == [0.9] * 8 + [0.2] * 8
 
 
-def test_copies_do_not_follow_the_policy_and_keep_their_normalisers() -> None:
+def test_copies_are_independent_of_the_policy_and_keep_their_normalisers() -> None:
     imagined = filled(quiet_config(schedule={"cycles": 1, "imaginary_rollouts": 1}), cycles=3)
     policy = linear_policy(goal_gain=0.5)
     policy.obs_normalizer.update(torch.full((4, OBS), 10.0))  # a position of 0 is now far below
@@ -131,12 +132,12 @@ def test_copies_do_not_follow_the_policy_and_keep_their_normalisers() -> None:
     assert (action[2 * TICKS :] > 0.9).all()
 
 
-def test_copies_beyond_the_capacity_are_forgotten_the_oldest_first() -> None:
+def test_the_oldest_copies_are_dropped_beyond_the_capacity() -> None:
     imagined = filled(quiet_config(schedule=SCHEDULE, replay={"capacity": 16 * TICKS}), cycles=8)
     for cycle in range(1, 20):
         imagined.keep_copy(linear_policy((cycle / 20, 0.0)), cycle)
     kept = [cycle for cycle, _ in imagined.state_dict()["policy_copies"]]
-    assert kept == [16, 17, 18, 19]  # the current one's twin and three that fill 16 rollouts
+    assert kept == [16, 17, 18, 19]  # a copy of the current policy, and three that fill 16 rollouts
 
 
 def test_collected_counts_new_rollouts_neither_refilled_nor_capped_by_the_capacity() -> None:
@@ -159,7 +160,7 @@ def overflowing() -> tuple[DynamicsEnsemble, torch.Tensor]:
     return ensemble, starts
 
 
-def test_dropped_rollouts_are_counted_and_made_up_for_in_a_refill() -> None:
+def test_dropped_rollouts_are_counted_and_replaced_in_a_refill() -> None:
     ensemble, starts = overflowing()
     imagined = source(quiet_config(schedule={"cycles": 2, "imaginary_rollouts": 200}), starts)
     report = imagined.imagine_cycle(ensemble, linear_policy(), epoch=1)
@@ -182,7 +183,7 @@ def test_a_few_rollouts_dropped_by_chance_at_the_end_do_not_stop_a_refill() -> N
         assert imagined.replay.num_transitions == imagined.level
 
 
-def test_a_refill_of_which_nothing_is_finite_fails_with_what_to_do() -> None:
+def test_a_refill_without_finite_rollouts_fails_and_names_the_remedy() -> None:
     imagined = filled(quiet_config(schedule=SCHEDULE), cycles=1)
     with pytest.raises(FloatingPointError, match=r"every imagined rollout.*learner\.dynamics\.lr"):
         refill(imagined, drifting_ensemble(float("nan"), 0.0))
@@ -211,30 +212,32 @@ def test_imagined_actions_are_explored_like_real_ones() -> None:
 
 
 class Recording(Policy):
-    """Remembers which source it was told at each step."""
+    """Records its source input at each step."""
 
-    told: list[torch.Tensor]
+    sources: list[torch.Tensor]
 
     def act(
         self, observation: torch.Tensor, goal: torch.Tensor, source: torch.Tensor
     ) -> torch.Tensor:
-        self.told.append(source)
+        self.sources.append(source)
         return super().act(observation, goal, source)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
-def test_a_share_of_rollouts_is_told_real_but_stored_as_imagined(share: float) -> None:
+def test_a_share_of_rollouts_acts_with_the_real_source_but_is_stored_as_imagined(
+    share: float,
+) -> None:
     config = quiet_config(schedule={"imaginary_rollouts": 1000}, exploration={"source_flip": share})
     imagined = source(config)
     policy = linear_policy((0.1, 0.0), real_bias=0.4, cls=Recording)
     assert isinstance(policy, Recording)
-    policy.told = []
+    policy.sources = []
     imagined.imagine_cycle(drifting_ensemble(0.0), policy, epoch=1)
-    told = torch.stack(policy.told)
-    assert told.shape == (TICKS, 1000)
-    assert (told == told[0]).all()  # for the whole rollout
-    assert float((told[0] == REAL).float().mean()) == pytest.approx(share, abs=0.03)
-    assert actors(imagined) == pytest.approx([0.5 if s == REAL else 0.1 for s in told[0]])
+    sources = torch.stack(policy.sources)
+    assert sources.shape == (TICKS, 1000)
+    assert (sources == sources[0]).all()  # for the whole rollout
+    assert float((sources[0] == REAL).float().mean()) == pytest.approx(share, abs=0.03)
+    assert actors(imagined) == pytest.approx([0.5 if s == REAL else 0.1 for s in sources[0]])
     assert (sample(imagined).source == IMAGINED).all()
 
 
@@ -257,7 +260,7 @@ def test_the_share_of_clipped_intrinsic_rewards_is_reported() -> None:
     assert report["intrinsic_imagined"] == pytest.approx(0.2)
 
 
-def test_a_restored_source_refills_as_the_original_does() -> None:
+def test_a_restored_source_refills_like_the_original() -> None:
     config = quiet_config(schedule=SCHEDULE)
     original, restored = filled(config, cycles=8), filled(config, cycles=1)
     original.keep_copy(linear_policy((0.2, 0.0)), 2)
@@ -271,7 +274,7 @@ def test_a_restored_source_refills_as_the_original_does() -> None:
 
 
 def branching(**exploration: float) -> tuple[ImaginarySource, EpisodeReplay]:
-    """Branches of 3 ticks from four real episodes, each observation with a number of its own."""
+    """Branches of 3 ticks from four real episodes with distinct observations."""
     config = quiet_config(
         schedule={"imaginary_rollouts": 200},
         imagination={"branch_ticks": 3},
@@ -306,7 +309,7 @@ def test_branches_are_not_relabelled_within_themselves() -> None:
     assert {tuple(goal) for goal in imagined.sample(2000).goal.tolist()} <= stored_goals
 
 
-def test_new_models_leave_no_branch_of_the_old_ones() -> None:
+def test_new_models_drop_the_branches_of_the_old_ones() -> None:
     imagined, _ = branching()
     imagined.imagine_cycle(drifting_ensemble(1.0), linear_policy(), epoch=1)
     assert refill(imagined, drifting_ensemble(-1.0)) == {}

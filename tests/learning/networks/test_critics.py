@@ -1,4 +1,4 @@
-"""Critics: which networks there are, which are asked, and what layer normalisation bounds."""
+"""Critics: networks, subsets of them, bounds by layer normalisation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import nn
 
 from iher_robot.learning.config import DDPGConfig
 from iher_robot.learning.networks.critics import Critics
-from tests.learning.stand_ins import generator
+from tests.learning.fakes import generator
 
 FEATURES, ACTION = 5, 2
 
@@ -28,7 +28,7 @@ def inputs(batch: int = 40, scale: float = 1.0) -> tuple[torch.Tensor, torch.Ten
     return scale * features, 2 * torch.rand(batch, ACTION, generator=rng) - 1
 
 
-def test_every_network_starts_from_weights_of_its_own() -> None:
+def test_networks_have_different_initial_weights() -> None:
     value = critics()(*inputs())
     assert value.shape == (2, 3, 40)
     for one, other in itertools.combinations(value.flatten(0, 1), 2):
@@ -36,7 +36,7 @@ def test_every_network_starts_from_weights_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("members", [[0], [1], [2], [0, 2], [0, 1, 2]])
-def test_only_those_are_asked_that_are_named_in_every_component(members: list[int]) -> None:
+def test_only_the_given_members_are_evaluated_in_every_component(members: list[int]) -> None:
     networks = critics()
     everything = networks(*inputs())
     torch.testing.assert_close(networks(*inputs(), members), everything[:, members])

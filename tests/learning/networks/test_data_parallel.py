@@ -1,4 +1,4 @@
-"""Learners that share every batch, here in threads of one process."""
+"""Data-parallel learners, here in threads of one process."""
 
 from __future__ import annotations
 
@@ -12,12 +12,17 @@ import torch
 
 from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.learner import Learner
-from iher_robot.learning.networks.data_parallel import ALONE, Peers, own_rows, require_equal_shares
-from iher_robot.learning.replay import Transitions
+from iher_robot.learning.networks.data_parallel import (
+    ALONE,
+    Peers,
+    local_rows,
+    require_equal_shards,
+)
+from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import PointMassGoals
-from tests.learning.quick_learner import new, quick, real
+from tests.learning.small_learner import new, quick, real
 
-EVERYTHING: dict[str, dict[str, Any]] = {
+ALL_PARTS: dict[str, dict[str, Any]] = {
     "contact": {"enabled": True, "hidden": (16, 16)},
     "ddpg": {"critics": 3, "target_subset": 2, "layer_norm": True, "actor_period": 2},
 }
@@ -25,8 +30,8 @@ TOLERANCE = 1e-5
 """Gradients move weights by 0.01 to 0.1 here; rounding was found to move them by 1e-7."""
 
 
-class InThreads:
-    """Peers in threads: each leaves its tensor, and takes the mean of all."""
+class ThreadPeers:
+    """Peers in threads, which exchange tensors in a list."""
 
     def __init__(self, rank: int, tensors: list[torch.Tensor], barrier: threading.Barrier) -> None:
         self.rank = rank
@@ -41,15 +46,15 @@ class InThreads:
         self._barrier.wait(30.0)
 
 
-def together(count: int, work: Callable[[Peers], Any]) -> list[Any]:
-    """Do work as several peers at a time."""
+def run_as_peers(count: int, work: Callable[[Peers], Any]) -> list[Any]:
+    """Run work as several peers at once."""
     tensors, barrier = [torch.empty(0)] * count, threading.Barrier(count)
     with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(work, (InThreads(rank, tensors, barrier) for rank in range(count))))
+        return list(pool.map(work, (ThreadPeers(rank, tensors, barrier) for rank in range(count))))
 
 
 def weights(learner: Learner) -> Iterator[tuple[str, torch.Tensor]]:
-    """Every number that gradients have moved, by name."""
+    """Every trained parameter, by name."""
     parts: dict[str, Any] = {"actor": learner.policy.actor, "critics": learner.ddpg.critics}
     parts["dynamics"] = learner.ensemble.members
     if learner.contact is not None:
@@ -71,10 +76,10 @@ def learned(config: LearnerConfig, peers: Peers, epochs: int = 2) -> tuple[Learn
 
 @pytest.mark.parametrize("count", [2, 5])
 def test_several_learners_equal_one_with_the_whole_batch(count: int) -> None:
-    config = quick(**EVERYTHING, dynamics={"hidden": (32, 32), "batch_size": 60})
+    config = quick(**ALL_PARTS, dynamics={"hidden": (32, 32), "batch_size": 60})
     before = dict(enumerate(weights(new(config, contact_model=PointMassGoals()))))
     alone, its_metrics = learned(config, ALONE)
-    peers = together(count, lambda each: learned(config, each))
+    peers = run_as_peers(count, lambda each: learned(config, each))
     for at, (name, its) in enumerate(weights(alone)):
         ours = [list(weights(learner))[at][1] for learner, _ in peers]
         assert all(torch.equal(each, ours[0]) for each in ours), name
@@ -86,20 +91,20 @@ def test_several_learners_equal_one_with_the_whole_batch(count: int) -> None:
             assert value == pytest.approx(its_metrics[name], rel=1e-3, abs=1e-6), name
 
 
-def test_the_shares_of_a_batch_are_its_rows() -> None:
+def test_the_shards_of_a_batch_are_its_rows() -> None:
     rows = torch.arange(24.0)
     block = Transitions(*[rows + 100 * field for field in range(7)])
-    shares = together(3, lambda peers: block.share(2, peers))
+    shares = run_as_peers(3, lambda peers: block.shard(2, peers))
     for first, last in ((0, 12), (12, 24)):
         found = torch.cat([share.observation.chunk(2)[first // 12] for share in shares])
         assert sorted(found.tolist()) == rows[first:last].tolist()
     for share in shares:
         assert torch.equal(share.source, share.observation + 600)
-    assert block.share(2, ALONE) is block
-    assert own_rows(rows, 2, ALONE) is rows
+    assert block.shard(2, ALONE) is block
+    assert local_rows(rows, 2, ALONE) is rows
 
 
-def test_batches_that_cannot_be_shared_are_refused() -> None:
+def test_batches_without_equal_shards_are_refused() -> None:
     for config, named in (
         (
             quick(ddpg={"batch_size": 51}),
@@ -107,10 +112,10 @@ def test_batches_that_cannot_be_shared_are_refused() -> None:
         ),
         (quick(dynamics={"batch_size": 7}), "learner.*learner.dynamics.batch_size is 7"),
     ):
-        peers = InThreads(0, [torch.empty(0)] * 2, threading.Barrier(1))
+        peers = ThreadPeers(0, [torch.empty(0)] * 2, threading.Barrier(1))
         with pytest.raises(ValueError, match=f"{named}, which 2 processes cannot share equally"):
             new(config, peers=peers)
         new(config)
     without_models = quick(dynamics={"batch_size": 7}, imagination={"enabled": False})
     new(without_models, peers=peers)
-    require_equal_shares("a batch", 12, peers)
+    require_equal_shards("a batch", 12, peers)

@@ -1,4 +1,4 @@
-"""Parameters in one piece of memory: the module stays what it was, and follows."""
+"""Parameters in one tensor: the module is equivalent, and its parameters are views."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import copy
 import pytest
 import torch
 
-from iher_robot.learning.networks.flat_parameters import Flat
+from iher_robot.learning.networks.flat_parameters import FlatParameters
 from iher_robot.learning.networks.mlp import mlp
-from tests.learning.stand_ins import generator
+from tests.learning.fakes import generator
 
 
 def inputs() -> torch.Tensor:
@@ -20,7 +20,7 @@ def test_a_module_computes_as_before_and_its_parameters_are_views() -> None:
     module = mlp(3, (5, 7), 2, generator(), layer_norm=True)
     before = module(inputs())
     names = list(module.state_dict())
-    flat = Flat(module)
+    flat = FlatParameters(module)
     assert torch.equal(module(inputs()), before)
     assert list(module.state_dict()) == names
     with torch.no_grad():
@@ -28,18 +28,18 @@ def test_a_module_computes_as_before_and_its_parameters_are_views() -> None:
     assert torch.equal(module(inputs()), torch.zeros(20, 2))
 
 
-def test_loaded_weights_arrive_in_the_one_piece() -> None:
+def test_loaded_weights_arrive_in_the_flat_tensor() -> None:
     module, other = mlp(3, (5,), 2, generator(1)), mlp(3, (5,), 2, generator(2))
-    flat = Flat(module)
+    flat = FlatParameters(module)
     module.load_state_dict(other.state_dict())
-    assert torch.equal(flat.values, Flat(other).values)
+    assert torch.equal(flat.values, FlatParameters(other).values)
     assert torch.equal(module(inputs()), other(inputs()))
 
 
-def test_an_optimiser_of_the_one_piece_does_what_one_of_the_parameters_does() -> None:
+def test_an_optimiser_of_the_flat_tensor_equals_one_of_the_parameters() -> None:
     module = mlp(3, (5, 7), 2, generator(), layer_norm=True)
     plain = copy.deepcopy(module)
-    flat = Flat(module)
+    flat = FlatParameters(module)
     fast = torch.optim.Adam([flat.values], lr=1e-2, fused=True)
     slow = torch.optim.Adam(plain.parameters(), lr=1e-2, fused=True)
     for step in range(10):
@@ -56,7 +56,7 @@ def test_an_optimiser_of_the_one_piece_does_what_one_of_the_parameters_does() ->
 
 def test_gradients_reach_no_other_module() -> None:
     first, second = mlp(3, (5,), 3, generator(1)), mlp(3, (5,), 1, generator(2))
-    below, above = Flat(first), Flat(second)
+    below, above = FlatParameters(first), FlatParameters(second)
     below.add_gradients(second(first(inputs())).mean())
     assert below.values.grad is not None
     assert above.values.grad is not None
@@ -69,6 +69,6 @@ def test_one_module_moves_towards_another_by_a_share(share: float | torch.Tensor
     one, other = mlp(3, (5,), 2, generator(1)), mlp(3, (5,), 2, generator(2))
     pairs = zip(one.parameters(), other.parameters(), strict=True)
     expected = [torch.lerp(a.detach(), b.detach(), 0.3) for a, b in pairs]
-    Flat(one).follow(Flat(other), share)
+    FlatParameters(one).move_towards(FlatParameters(other), share)
     for parameter, wanted in zip(one.parameters(), expected, strict=True):
         torch.testing.assert_close(parameter.detach(), wanted)

@@ -1,4 +1,4 @@
-"""Networks draw their weights from the generator that they are given, and compute in blocks."""
+"""MLPs: initial weights, layer normalisation, blocks of rows, precision."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from iher_robot.learning.networks.mlp import LARGEST_BLOCK, block_sizes, forward, in_blocks, mlp
-from tests.learning.stand_ins import generator
+from tests.learning.fakes import generator
 
 
 def test_the_weights_come_from_the_generator_and_nothing_else() -> None:
@@ -32,7 +32,7 @@ def test_the_output_is_linear_and_the_hidden_layers_are_not() -> None:
     torch.testing.assert_close(flat, flat[:1].expand(200), rtol=1e-3, atol=1e-4)
 
 
-def test_hidden_layers_are_normalised_only_where_asked_and_the_draws_stay_the_same() -> None:
+def test_layer_norm_is_optional_and_leaves_the_draws_as_they_are() -> None:
     def norms(network: nn.Module) -> list[nn.Module]:
         return [layer for layer in network.modules() if isinstance(layer, nn.LayerNorm)]
 
@@ -50,7 +50,7 @@ def test_hidden_layers_are_normalised_only_where_asked_and_the_draws_stay_the_sa
         assert torch.equal(mine, theirs)
 
 
-def test_what_a_normalised_hidden_layer_rectifies_has_mean_zero_and_variance_one() -> None:
+def test_the_input_of_a_relu_after_layer_norm_has_mean_zero_and_variance_one() -> None:
     network = mlp(4, (64, 64), 3, generator(), layer_norm=True)
     seen: list[torch.Tensor] = []
     for layer in network.modules():
@@ -64,7 +64,7 @@ def test_what_a_normalised_hidden_layer_rectifies_has_mean_zero_and_variance_one
 
 
 @pytest.mark.parametrize("rows", [0, 1, 3, 64, 65, 100, 500, 4000, 2 * LARGEST_BLOCK + 77])
-def test_rows_in_blocks_come_out_as_all_at_once(rows: int) -> None:
+def test_rows_in_blocks_equal_all_rows_at_once(rows: int) -> None:
     network = mlp(4, (16, 16), 3, generator(), layer_norm=True)
     inputs = torch.randn(rows, 4, generator=generator())
     seen: list[int] = []
@@ -76,7 +76,7 @@ def test_rows_in_blocks_come_out_as_all_at_once(rows: int) -> None:
     assert seen == (block_sizes(rows) or [0])
 
 
-def test_blocks_of_any_number_of_rows_have_a_few_sizes_and_little_padding() -> None:
+def test_blocks_have_few_sizes_and_little_padding() -> None:
     sizes: set[int] = set()
     for rows in range(1, 3 * LARGEST_BLOCK):
         blocks = block_sizes(rows)
@@ -88,7 +88,7 @@ def test_blocks_of_any_number_of_rows_have_a_few_sizes_and_little_padding() -> N
 
 
 @pytest.mark.parametrize("layer_norm", [False, True])
-def test_products_of_less_precision_round_hidden_layers_and_nothing_else(layer_norm: bool) -> None:
+def test_lower_precision_rounds_the_products_between_hidden_layers_only(layer_norm: bool) -> None:
     network = mlp(4, (64, 64), 3, generator(), layer_norm=layer_norm)
     inputs = torch.randn(100, 4, generator=generator(1))
     exact = forward(network, inputs, torch.float32)
@@ -102,14 +102,14 @@ def test_products_of_less_precision_round_hidden_layers_and_nothing_else(layer_n
     assert torch.equal(forward(shallow, inputs, torch.bfloat16), shallow(inputs))
 
 
-def test_gradients_through_rounded_products_are_nearly_those_through_exact_ones() -> None:
+def test_gradients_through_rounded_products_are_close_to_exact_ones() -> None:
     network = mlp(4, (64, 64), 1, generator(), layer_norm=True)
     inputs = torch.randn(256, 4, generator=generator(1), requires_grad=True)
     wanted = [inputs, *network.parameters()]
     found = {}
-    for products in (torch.float32, torch.bfloat16):
-        loss = forward(network, inputs, products).square().mean()
-        found[products] = torch.autograd.grad(loss, wanted)
+    for dtype in (torch.float32, torch.bfloat16):
+        loss = forward(network, inputs, dtype).square().mean()
+        found[dtype] = torch.autograd.grad(loss, wanted)
     for exact, rounded in zip(found[torch.float32], found[torch.bfloat16], strict=True):
         assert rounded.dtype == torch.float32
         assert (rounded - exact).norm() < 0.03 * exact.norm()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.networks.normalizer import BLOCK, FittedNormalizer, RunningNormalizer
-from tests.learning.stand_ins import CPU, generator
+from tests.learning.fakes import CPU, generator
 
 
 def running(clip: float = 5.0, std_floor: float = 0.01) -> RunningNormalizer:
@@ -37,7 +37,7 @@ def test_running_statistics_are_those_of_all_batches_together(
     np.testing.assert_allclose(normalizer.std, std, rtol=1e-3, atol=2e-6)
 
 
-def test_a_spread_of_a_millimetre_around_a_metre_is_not_lost() -> None:
+def test_a_spread_of_a_millimetre_around_a_metre_keeps_its_variance() -> None:
     values = np.random.default_rng(0).normal(1.3, 1e-3, size=(100_000, 3))
     normalizer = running(std_floor=1e-6)
     for batch in np.array_split(values, 50):
@@ -58,7 +58,7 @@ def test_normalised_values_are_clipped_and_the_deviation_floored() -> None:
     np.testing.assert_allclose(normalizer(values), [[0.5, 2.0, -2.0]], rtol=1e-5)
 
 
-def test_a_restored_normaliser_goes_on_alone() -> None:
+def test_a_restored_normaliser_is_independent_of_the_original() -> None:
     rng = np.random.default_rng(0)
     first, second = torch.as_tensor(rng.normal(2, 3, (2, 20, 3)))
     original = running()
@@ -80,7 +80,7 @@ def test_a_restored_normaliser_goes_on_alone() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(st.floats(-50, 50), st.floats(0.05, 100), st.integers(0, 2**31))
-def test_fitted_values_have_no_mean_and_unit_spread_and_come_back(
+def test_fitted_values_have_mean_zero_and_unit_spread_and_denormalise(
     offset: float, spread: float, seed: int
 ) -> None:
     values = torch.as_tensor(np.random.default_rng(seed).normal(offset, spread, (60, 3))).float()
@@ -108,7 +108,7 @@ def test_a_constant_entry_is_divided_by_the_floor() -> None:
 
 def test_more_values_than_a_block_are_fitted_as_all_at_once() -> None:
     values = 100.0 + torch.randn(2 * BLOCK + 5, 3, generator=generator())
-    values[:BLOCK] += 1.0  # blocks have means of their own
+    values[:BLOCK] += 1.0  # blocks have different means
     normalizer = FittedNormalizer(3, std_floor=1e-3, device=CPU)
     normalizer.fit(values)
     assert torch.equal(normalizer.mean, values.double().mean(0).float())

@@ -1,18 +1,19 @@
-"""Precision of matrix products: what is asked for, and what the hardware decides."""
+"""Precision of matrix products, by setting and hardware."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
+from iher_robot.learning.config import Precision
 from iher_robot.learning.networks import precision
-from iher_robot.learning.networks.precision import Precision, products_of, set_float32_products
-from tests.learning.quick_learner import new, quick, real
-from tests.learning.stand_ins import CPU
+from iher_robot.learning.networks.precision import pick_matmul_dtype, set_float32_precision
+from tests.learning.fakes import CPU
+from tests.learning.small_learner import new, quick, real
 
 
 @pytest.mark.parametrize(
-    ("asked", "capable", "expected"),
+    ("setting", "capable", "expected"),
     [
         ("bfloat16", False, torch.bfloat16),
         ("bfloat16", True, torch.bfloat16),
@@ -22,48 +23,48 @@ from tests.learning.stand_ins import CPU
         ("highest", True, torch.float32),
     ],
 )
-def test_bfloat16_is_taken_where_asked_for_or_where_auto_finds_it(
-    asked: Precision, capable: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
+def test_bfloat16_is_used_if_set_or_if_auto_finds_it(
+    setting: Precision, capable: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": capable})
-    assert products_of(asked, CPU) == expected
+    assert pick_matmul_dtype(setting, CPU) == expected
 
 
-def test_a_cpu_that_is_not_known_is_taken_to_have_no_bfloat16(
+def test_an_unknown_cpu_has_no_bfloat16(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", dict)
-    assert not precision.multiplies_bfloat16(CPU)
+    assert not precision.has_bfloat16(CPU)
 
 
-def test_float32_products_are_set_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_float32_precision_is_set_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     before = torch.get_float32_matmul_precision()
     expected = {"bfloat16": "highest", "high": "high", "medium": "medium", "highest": "highest"}
     try:
         for capable, auto in ((True, "highest"), (False, "medium")):
             has = {"avx512_bf16": capable}
             monkeypatch.setattr(torch.cpu, "get_capabilities", lambda has=has: has)
-            for asked, found in (expected | {"auto": auto}).items():
-                set_float32_products(asked, CPU)  # type: ignore[arg-type]
+            for setting, found in (expected | {"auto": auto}).items():
+                set_float32_precision(setting, CPU)  # type: ignore[arg-type]
                 assert torch.get_float32_matmul_precision() == found
     finally:
         torch.set_float32_matmul_precision(before)
 
 
-def test_all_networks_of_a_learner_compute_in_its_precision_and_are_saved_whole() -> None:
+def test_all_networks_compute_in_the_set_precision_and_are_saved_in_float32() -> None:
     learned = {}
-    for asked in ("highest", "bfloat16"):
+    for setting in ("highest", "bfloat16"):
         config = quick(ddpg={"hidden": (16, 16, 16)})
-        learner = new(config.model_copy(update={"matmul_precision": asked}))
+        learner = new(config.model_copy(update={"matmul_precision": setting}))
         learner.add_real(real(1))
         learner.learn()
         state = learner.state_dict()
         weights = [*state["ddpg"]["critics"].values(), *state["ensemble"]["members"].values()]
         assert {each.dtype for each in weights} == {torch.float32}
         assert {each.dtype for each in state["policy"]["actor"].values()} == {torch.float32}
-        learned[asked] = weights
-        # What acts on a robot is not rounded.
-        assert learner.acting_policy(CPU).products == torch.float32
+        learned[setting] = weights
+        # The policy that acts on a robot is not rounded.
+        assert learner.acting_policy(CPU).matmul_dtype == torch.float32
     for exact, rounded in zip(learned["highest"], learned["bfloat16"], strict=True):
         if exact.dim() == 2:
             assert not torch.equal(exact, rounded)

@@ -24,6 +24,7 @@ from iher_robot.rollout.simulators.pool import SimulatorPool
 from iher_robot.storage.budget import Budget
 from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.ledger import Ledger
+from iher_robot.storage.robot_time import RobotTime
 
 EPISODE_TICKS = 5
 BUDGET_TICKS = 17  # three episodes and a part of one
@@ -31,8 +32,8 @@ MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # no disk is waited 
 TRACED = tuple(
     f"iher_robot/{name}.py"
     for name in (
-        "storage/episode_journal storage/episode_store rollout/simulators/child_process "
-        "rollout/simulators/collect rollout/simulators/pool"
+        "storage/episode_journal storage/episode_reader storage/episode_store "
+        "rollout/simulators/child_process rollout/simulators/collect rollout/simulators/pool"
     ).split()
 )
 Line = tuple[str, int]
@@ -123,18 +124,18 @@ def collect(folder: Path, interrupter: Interrupter) -> int:
     config: Any = SimpleNamespace(simulators=2, model_dump_json=lambda: "{}")
     learner: Any = None
     with Ledger(folder / "ledger.sqlite") as ledger, EpisodeStore(folder / "episodes") as store:
-        budget = Budget(ledger, BUDGET_TICKS)
+        budget = Budget(ledger, RobotTime(BUDGET_TICKS, 0.04))
         lost = lost_ticks(store, budget)
         with (
             SimulatorPool(config, EPISODE_TICKS) as pool,
             SimulatedEpisodes(pool, budget, store, lambda number: number) as episodes,
             interrupter,
         ):
-            while budget.remaining_ticks:
+            while budget.remaining.ticks:
                 for _ in episodes.run(learner, epoch=1, first=len(store), count=3):
                     pass
         assert lost_ticks(store, budget) == lost
-        assert not budget.remaining_ticks
+        assert not budget.remaining.ticks
     return lost
 
 
@@ -142,8 +143,8 @@ def lost_ticks(store: EpisodeStore, budget: Budget) -> int:
     """Check what is stored and counted; returns ticks that are counted alone."""
     kept = list(store)
     assert [one.seed for one in kept] == list(range(len(kept)))
-    lost = budget.spent_ticks - sum(len(one.episode) for one in kept)
-    assert 0 <= lost <= budget.spent_ticks <= BUDGET_TICKS
+    lost = budget.spent.ticks - sum(len(one.episode) for one in kept)
+    assert 0 <= lost <= budget.spent.ticks <= BUDGET_TICKS
     return lost
 
 

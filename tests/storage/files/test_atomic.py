@@ -12,7 +12,7 @@ from typing import BinaryIO
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.storage.files.atomic import check_seal, read_file, seal_zip, write_atomically
+from iher_robot.storage.files.atomic import read_file, write_atomically
 
 
 @pytest.fixture
@@ -99,11 +99,3 @@ def test_a_file_that_cannot_be_read_is_named(path: Path, name: str, message: str
     with pytest.raises(UserError, match=message) as error:
         read_file(path.parent / name, "policy file")
     assert str(path.parent / name) in str(error.value)
-
-
-def test_only_an_archive_without_a_comment_is_sealed_and_once() -> None:
-    archive = b"PK\x05\x06" + bytes(18)
-    sealed = seal_zip(archive)
-    check_seal(sealed, Path("a.npz"), "episode file")
-    with pytest.raises(ValueError, match="without a comment"):
-        seal_zip(sealed)

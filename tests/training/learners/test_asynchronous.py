@@ -28,7 +28,7 @@ from iher_robot.rollout.actor import PolicyActor
 from iher_robot.rollout.episode import run_episode
 from iher_robot.rollout.recorder import Recorder
 from iher_robot.rollout.robot import RobotEpisodes
-from iher_robot.storage.episode_store import EpisodeReader
+from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.ledger import Ledger
 from iher_robot.training import loop as loop_module
 from iher_robot.training.display import TrainingDisplay
@@ -37,6 +37,7 @@ from iher_robot.training.learners.asynchronous import AsyncLearner, LearnerProce
 from iher_robot.training.recovery import Restored
 from iher_robot.training.setup import make_learner, open_training_setup
 from iher_robot.training.train import resume, train
+from tests.forked import run_forked
 from tests.served.served_robot import PATIENT, ServedRobot, eventually, is_running
 from tests.small_runs import (
     TINY,
@@ -208,8 +209,8 @@ def test_a_learner_that_ends_ends_the_run_with_a_sentence_and_costs_nothing(
 
 def test_a_killed_run_leaves_no_process_and_loses_nothing(tmp_path: Path) -> None:
     out, children = tmp_path / "run", tmp_path / "children"
-    done = subprocess.run([sys.executable, "-c", KILLED, str(out), str(children)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    done = run_forked(KILLED, str(out), str(children))
+    assert done.returncode == -signal.SIGKILL, done.stderr
     (learner,) = map(int, children.read_text().split())
     try:
         assert eventually(lambda: not is_running(learner))

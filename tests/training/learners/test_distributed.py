@@ -27,7 +27,7 @@ from iher_robot.training.learners.process_group import PeerGone, PeerGroup
 from iher_robot.training.learners.torchrun import TorchrunRank
 from iher_robot.training.train import resume
 from tests.learning.point_mass import PointMassGoals
-from tests.learning.quick_learner import new, quick
+from tests.learning.small_learner import new, quick
 from tests.repository import ROOT
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import TINY, metrics, motion_ticks, run, stored_ticks

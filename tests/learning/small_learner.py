@@ -1,4 +1,4 @@
-"""Learners whose epochs take a moment: for what an epoch does, not for what it learns."""
+"""Learners with very short epochs, which test what an epoch does and not what it learns."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from iher_robot.learning.config import LearnerConfig
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.replay import EpisodeReplay
+from tests.learning.fakes import CPU, stored
 from tests.learning.point_mass import SHAPES, PointMassGoals, rollout, small_config
-from tests.learning.stand_ins import CPU, stored
 
 HER: dict[str, Any] = {
     "imagination": {"enabled": False},
@@ -22,7 +22,7 @@ HER: dict[str, Any] = {
 
 
 def quick(**sections: dict[str, Any]) -> LearnerConfig:
-    """A few updates only: for what an epoch does, not for what it learns."""
+    """Settings with a few updates an epoch."""
     base: dict[str, dict[str, Any]] = {
         "schedule": {"cycles": 4, "batches": 3, "dynamics_steps": 6, "policy_copy_cycles": 2},
         "ddpg": {"hidden": (16, 16), "batch_size": 50},

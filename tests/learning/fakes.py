@@ -1,4 +1,4 @@
-"""Episodes, models and policies whose every output is known in advance."""
+"""Fakes: episodes, models, policies and symmetries with known outputs."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def replay_of(
 
 def stored(replay: EpisodeReplay) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Observation, action and next observation of every stored transition."""
-    return replay.steps(*replay.every_step())
+    return replay.steps(*replay.all_indices())
 
 
 def linear_ensemble(
@@ -114,7 +114,7 @@ def linear_policy(
     real_bias: float | None = None,
     cls: type[Policy] = Policy,
 ) -> Policy:
-    """tanh(goal_gain * (goal - position) + bias, and + real_bias where told it is real)."""
+    """tanh(goal_gain * (goal - position) + bias, and + real_bias for the real source)."""
     policy = cls(
         SHAPES,
         hidden=(),
@@ -136,13 +136,13 @@ def linear_policy(
 
 
 def quiet_config(**sections: dict[str, Any]) -> LearnerConfig:
-    """The point mass's settings without exploration, so that actions tell who acted."""
+    """The point mass's settings without exploration, so that actions identify the policy."""
     noise = NO_NOISE.model_dump() | sections.pop("exploration", {})
     return small_config(exploration=noise, **sections)
 
 
 def deviation(counts: torch.Tensor, expected: torch.Tensor) -> float:
-    """How many standard deviations Pearson's chi-square is above its mean.
+    """Standard deviations by which Pearson's chi-square exceeds its mean.
 
     Args:
         counts: Occurrences of each outcome.
@@ -181,7 +181,7 @@ def saved_and_loaded(state: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class FarAway:
-    """A symmetry whose images are recognised: elsewhere by ``by``, and the action turned round.
+    """A map with recognisable images: positions moved by ``by``, the action reversed.
 
     Attributes:
         by: What is added to positions. ``(batch, 1)``
@@ -202,7 +202,7 @@ class FarAway:
 
 
 class FarAwaySymmetry:
-    """A row's image is 100 to 200 away, by what its number says."""
+    """Moves each row by 100 to 200, depending on its random number."""
 
     draws = 1
 
