@@ -35,65 +35,54 @@ VECTOR = "gymnasium-robotics, asynchronous"
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
     """Physics with a mocap body, physics with motors, and inverse kinematics."""
     episodes = settings.sized(8, 1)
-    cores = len(os.sched_getaffinity(0))
     with ExitStack() as stack:
-        mocap = stack.enter_context(make_env("push", actuation="mocap"))
         joint = stack.enter_context(make_env("push"))
-        official = make_official()
-        stack.callback(official.close)
-        learner = learner_of_push(settings, settings.precisions[0], ())
-        act = BatchActor(learner.acting_policy(CPU))
-        at_random, with_policy = [], []
-        for workers in settings.sized([cores, 2 * cores], [1]):
-            vector = AsyncVectorEnv(
-                [make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP
-            )
-            stack.callback(vector.close)
-            name, ticks = f"{VECTOR}, {workers} robots", ticks_per_second_of_vector
-            at_random.append(Contender(name, partial(ticks, vector, episodes, None)))
-            with_policy.append(Contender(name, partial(ticks, vector, episodes, act)))
+        motors = Contender("iher_robot, one fetch", partial(ticks_per_second, joint, episodes))
+        solver = Contender("iher_robot", partial(solves_per_second, joint, episodes))
         yield [
-            Comparison(
-                topic="simulation",
-                work="control ticks, mocap physics, random actions",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(
-                    Contender(
-                        "iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes)
-                    ),
-                    Contender(
-                        "gymnasium-robotics, gym.make",
-                        partial(ticks_per_second, official, episodes),
-                    ),
-                    *at_random,
-                ),
-            ),
-            Comparison(
-                topic="simulation",
-                work="episodes of a policy, mocap physics, control ticks",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(many_simulators(stack, learner, cores, episodes), *with_policy),
-                target=Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
-            ),
-            Comparison(
-                topic="simulation",
-                work="control ticks, motors in the joints",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(
-                    Contender("iher_robot, one fetch", partial(ticks_per_second, joint, episodes)),
-                ),
-            ),
-            Comparison(
-                topic="simulation",
-                work="inverse kinematics, median of a random motion",
-                unit="solves/s",
-                kind=Kind.RATE,
-                contenders=(Contender("iher_robot", partial(solves_per_second, joint, episodes)),),
-            ),
+            *mocap_comparisons(stack, settings, episodes),
+            comparison("control ticks, motors in the joints", "ticks/s", (motors,)),
+            comparison("inverse kinematics, median of a random motion", "solves/s", (solver,)),
         ]
+
+
+def mocap_comparisons(stack: ExitStack, settings: Settings, episodes: int) -> list[Comparison]:
+    """One robot with random actions, and many robots with a policy."""
+    mocap = stack.enter_context(make_env("push", actuation="mocap"))
+    official = make_official()
+    stack.callback(official.close)
+    learner = learner_of_push(settings, settings.precisions[0], ())
+    act = BatchActor(learner.acting_policy(CPU))
+    cores = len(os.sched_getaffinity(0))
+    at_random, with_policy = [], []
+    for workers in settings.sized([cores, 2 * cores], [1]):
+        vector = AsyncVectorEnv([make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP)
+        stack.callback(vector.close)
+        name, ticks = f"{VECTOR}, {workers} robots", ticks_per_second_of_vector
+        at_random.append(Contender(name, partial(ticks, vector, episodes, None)))
+        with_policy.append(Contender(name, partial(ticks, vector, episodes, act)))
+    ours = Contender("iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes))
+    theirs = Contender(
+        "gymnasium-robotics, gym.make", partial(ticks_per_second, official, episodes)
+    )
+    many = many_simulators(stack, learner, cores, episodes)
+    return [
+        comparison(
+            "control ticks, mocap physics, random actions", "ticks/s", (ours, theirs, *at_random)
+        ),
+        comparison(
+            "episodes of a policy, mocap physics, control ticks",
+            "ticks/s",
+            (many, *with_policy),
+            Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
+        ),
+    ]
+
+
+def comparison(
+    work: str, unit: str, contenders: tuple[Contender, ...], target: Target | None = None
+) -> Comparison:
+    return Comparison("simulation", work, unit, Kind.RATE, contenders, target=target)
 
 
 class BatchActor:

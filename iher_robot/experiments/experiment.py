@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -11,9 +10,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from iher_robot.errors import UserError, unknown_name
+from iher_robot.errors import UserError
 from iher_robot.experiments.cell_process import Outcome
-from iher_robot.experiments.executor import Executor, LocalExecutor
+from iher_robot.experiments.executor_options import ExecutorOptions
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import Manifest, read_manifest
@@ -23,7 +22,6 @@ from iher_robot.experiments.runner import CellRunner, prepare_cell
 from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.provenance import collect_provenance
 
-EXECUTORS = ("local", "ray")
 DEFAULT_FOLDER = Path("runs/experiments")
 
 
@@ -58,7 +56,7 @@ class ExperimentResult:
         total = len(self.outcomes)
         lines = [f"{total - len(self.failed)} of {total} cells finished: {self.folder}"]
         lines += [
-            f"{outcome.ending:<8}{outcome.name}: {outcome.reason}, see {self.logs[outcome.name]}"
+            f"{outcome.ending:<12}{outcome.name}: {outcome.reason}, see {self.logs[outcome.name]}"
             for outcome in self.failed
         ]
         report = self.report if isinstance(self.report, str) else self.report.summary()
@@ -99,7 +97,7 @@ def experiment(
     plan = read_manifest(manifest)
     cells = expand(plan)
     folder = ExperimentFolder(out or DEFAULT_FOLDER / Path(manifest).stem)
-    options = _Options(executor, workers, address, ship)
+    options = ExecutorOptions(executor, workers, address, ship)
     options.check(cells)
     chosen = _choose(plan, cells, only)
     again = f"iher-robot {shlex.join(sys.argv[1:])}"
@@ -112,45 +110,6 @@ def experiment(
         result = _report(folder)
     logs = {outcome.name: folder.log(outcome.name) for outcome in outcomes}
     return ExperimentResult(folder.path, outcomes, logs, result)
-
-
-@dataclass(frozen=True)
-class _Options:
-    executor: str
-    workers: int | None
-    address: str | None
-    ship: bool
-
-    def check(self, cells: Sequence[Cell]) -> None:
-        """Refuse options that exclude each other, or the cells."""
-        if self.executor not in EXECUTORS:
-            raise unknown_name("executor", self.executor, EXECUTORS)
-        if self.workers is not None and self.workers < 1:
-            raise UserError(f"--workers is {self.workers}, allowed: an integer, 1 or more")
-        if self.executor == "ray":
-            if self.workers is not None:
-                raise UserError(
-                    "--workers is for --executor local; a Ray cluster runs one cell per core of "
-                    "its nodes; leave it out"
-                )
-            for cell in cells:
-                if not cell.simulated:
-                    raise UserError(
-                        f"cell {cell.name} runs on {cell.identity.robot}, which parallel cells "
-                        "must not share; use --executor local"
-                    )
-        elif self.address is not None or self.ship:
-            raise UserError("--address and --ship are for --executor ray; leave them out")
-
-    def make(self, cells: Sequence[Cell], lock: LockFile) -> Executor:
-        """Create the executor."""
-        if self.executor == "ray":
-            from iher_robot.experiments.ray import RayExecutor
-
-            return RayExecutor(lock.path, self.address, ship=self.ship)
-        if not all(cell.simulated for cell in cells):
-            return LocalExecutor(1, "one at a time, since they share a robot")
-        return LocalExecutor(self.workers or len(os.sched_getaffinity(0)))
 
 
 def _choose(manifest: Manifest, cells: Sequence[Cell], only: Sequence[str]) -> Sequence[Cell]:
@@ -174,7 +133,7 @@ def _run(
     cells: Sequence[Cell],
     chosen: Sequence[Cell],
     folder: ExperimentFolder,
-    options: _Options,
+    options: ExecutorOptions,
     lock: LockFile,
     *,
     display: bool,

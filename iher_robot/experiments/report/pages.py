@@ -16,15 +16,9 @@ from markdown_it import MarkdownIt
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.report import formatting, provenance
 from iher_robot.experiments.report.figures import draw_minutes, draw_success
-from iher_robot.experiments.report.findings import (
-    RATES,
-    Method,
-    baseline_of,
-    find_methods,
-    over_tasks,
-    ratio_to_baseline,
-)
-from iher_robot.experiments.report.statistics import LEAST_TRIMMED, REPETITIONS
+from iher_robot.experiments.report.findings import Method, find_methods, over_tasks
+from iher_robot.experiments.report.sections import overall_row, task_section
+from iher_robot.experiments.report.statistics import REPETITIONS
 from iher_robot.experiments.report.tables import read_tables, trial_rows
 from iher_robot.storage.files.atomic import read_file, write_atomically
 
@@ -54,16 +48,7 @@ def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, 
         description=metadata["description"],
         state=provenance.state(rows),
         tasks=[_task(task, group, figures) for task, group in methods.items()],
-        overall=[
-            [
-                formatting.plain(one.label),
-                one.seeds,
-                formatting.span(one.robot_minutes),
-                formatting.estimate(one.iqm),
-                formatting.estimate(one.mean),
-            ]
-            for one in over_tasks(methods)
-        ],
+        overall=list(map(overall_row, over_tasks(methods))),
         trials=trial_rows(folder.trials_path),
         repetitions=f"{REPETITIONS:,}",
         scipy=importlib.metadata.version("scipy"),
@@ -144,64 +129,5 @@ def _as_html(markdown: str, figures: _Figures) -> str:
 
 
 def _task(task: str, methods: Sequence[Method], figures: _Figures) -> dict[str, Any]:
-    title = task.replace("_", " ").capitalize()
-    found: dict[str, Any] = {
-        "title": title,
-        "rows": [_method(method, methods) for method in methods if method.runs],
-        "missing": [formatting.plain(cell) for method in methods for cell in method.missing],
-        "baselines": _baselines(methods),
-    }
-    return found | (figures.draw(methods, task, title) if found["rows"] else {})
-
-
-def _baselines(methods: Sequence[Method]) -> list[str]:
-    """Labels of the baselines of the ratios."""
-    labels = [
-        formatting.plain(baseline.label)
-        for method in methods
-        if (baseline := baseline_of(method, methods)) is not None and baseline is not method
-    ]
-    return list(dict.fromkeys(labels))
-
-
-def _method(method: Method, others: Sequence[Method]) -> list[str]:
-    count = len(method.runs)
-    of_all = f"{method.finished} of {count + len(method.missing)} finished"
-    return [
-        formatting.plain(method.label),
-        str(count) if method.complete else of_all,
-        *(formatting.minutes_to(method.minutes_to(rate)) for rate in RATES),
-        formatting.ratio(ratio_to_baseline(method, others, RATES[-1])),
-        formatting.estimate(method.last("iqm")),
-        formatting.estimate(method.last("mean")) if count >= LEAST_TRIMMED else "",
-        formatting.percents(method.last_rates) if count > 1 else "",
-        _final(method),
-        formatting.span(method.robot_minutes) + _stop(method),
-        _evaluations(method),
-        formatting.duration(method.wall_seconds),
-    ]
-
-
-def _stop(method: Method) -> str:
-    rates = dict.fromkeys(run.until_success for run in method.runs)
-    shown = [formatting.percent(rate) for rate in rates if rate is not None]
-    return f" (stops at {' or '.join(shown)} %)" if shown else ""
-
-
-def _evaluations(method: Method) -> str:
-    """Interval between evaluations, and their episodes."""
-    spacings = [run.spacing_minutes for run in method.runs]
-    episodes = dict.fromkeys(str(run.episodes) for run in method.runs)
-    return (
-        f"{formatting.span((min(spacings), max(spacings)))} min, {' or '.join(episodes)} episodes"
-    )
-
-
-def _final(method: Method) -> str:
-    """Successes of the final policies, in the order of the seeds."""
-    finals = [run.final for run in method.runs]
-    if not any(finals):
-        return formatting.UNKNOWN
-    return ", ".join(
-        formatting.UNKNOWN if final is None else "{} of {}".format(*final) for final in finals
-    )
+    section = task_section(task, methods)
+    return section | (figures.draw(methods, task, section["title"]) if section["rows"] else {})
