@@ -103,7 +103,7 @@ def _findings_of_body(spec: RobotSpec, state: RobotState | None, now_ns: int) ->
         pose = state.objects.get(name)
         if pose is None:
             yield (
-                f"no pose of {name} has arrived yet; start its publisher, source {source.source!r}"
+                f"no pose of {name} was received yet; start its publisher, source {source.source!r}"
             )
         elif now_ns - pose.stamp_ns > source.max_age_s * 1e9:
             yield (

@@ -407,7 +407,7 @@ def test_doctor_finds_an_object_without_a_pose(run: Run, tmp_path: Path) -> None
     with ServedRobot(tmp_path / "memory", "--perception", "object0") as served:
         outcome = run("doctor", "--connect", served.endpoint)
         assert outcome.code == 1, outcome
-        assert "no pose of object0 has arrived yet" in outcome.out
+        assert "no pose of object0 was received yet" in outcome.out
 
 
 def test_doctor_moves_no_physical_robot(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

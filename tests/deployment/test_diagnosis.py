@@ -98,7 +98,7 @@ def test_each_problem_of_host_or_link_is_one_finding(changes: dict[str, Any], fi
         ({"now_ns": 300_000_000}, "the pose of object0 is 0.3 s old"),
         (
             {"state": dataclasses.replace(measured(), objects={})},
-            "no pose of object0 has arrived",
+            "no pose of object0 was received",
         ),
         ({"state": dataclasses.replace(measured(), q=np.array([1.5]))}, "shoulder"),
         ({"state": dataclasses.replace(measured(), ee_pos=np.zeros(3))}, "from home"),
