@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
     from iher_robot.experiments.experiment import ExperimentResult, experiment
     from iher_robot.experiments.report.report import ReportResult, report
-    from iher_robot.training.train import TrainResult, resume, train
+    from iher_robot.training.result import TrainResult
+    from iher_robot.training.train import resume, train
     from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task
 
 __all__ = [
@@ -147,7 +148,8 @@ _NAMES = {
     "iher_robot.evaluation.evaluate": ("EvaluationResult", "evaluate"),
     "iher_robot.experiments.experiment": ("ExperimentResult", "experiment"),
     "iher_robot.experiments.report.report": ("ReportResult", "report"),
-    "iher_robot.training.train": ("TrainResult", "resume", "train"),
+    "iher_robot.training.result": ("TrainResult",),
+    "iher_robot.training.train": ("resume", "train"),
     "tasks": ("TASKS", "GoalModel", "GoalTask", "TaskError", "make_task"),
 }
 # Module of each name that is imported when it is first used: these need numpy, which takes a tenth

@@ -15,7 +15,8 @@ from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.training import setup as setup_module
 from iher_robot.training import train as train_module
-from iher_robot.training.train import TrainResult, train
+from iher_robot.training.result import TrainResult
+from iher_robot.training.train import train
 
 TINY_LEARNER = (
     "learner.schedule.cycles=2",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
 from iher_robot.errors import UserError
 from iher_robot.training.learners.torchrun import read_torchrun_rank
+
+if TYPE_CHECKING:
+    from iher_robot.training.result import TrainResult
 
 _BESIDE_RESUME = {"resume", "display", "simulators", "video"}
 _BESIDE_CONFIG = {"config", "out", "display", "simulators", "video"}
@@ -96,50 +99,57 @@ def train(
     folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
     if stopped is not None:
         _refuse_settings_beside(context, "--resume", _BESIDE_RESUME)
-        with told_when_interrupted(stopped):
-            from iher_robot.training.train import resume as resume_run
-
-            result = resume_run(stopped, simulators=simulators, display=display, video=video)
-        typer.echo(result.summary())
-        return
-    if config is not None:
+        result = _resume(stopped, simulators=simulators, display=display, video=video)
+    elif config is not None:
         _refuse_settings_beside(context, "--config", _BESIDE_CONFIG)
+        result = _train_config(config, folder, simulators=simulators, display=display, video=video)
+    elif task is None:
+        raise UserError("no task given; choose one with --task, or a stopped run with --resume")
+    else:
+        until = _success_threshold(until_success)
         with told_when_interrupted(folder):
-            from iher_robot.config.run import change_simulators, read_config
             from iher_robot.training.train import train as train_run
 
-            settings = read_config(config)
-            if simulators is not None:
-                settings = change_simulators(settings, simulators)
-            result = train_run(settings, out=folder, display=display, video=video)
-        typer.echo(result.summary())
-        return
-    if task is None:
-        raise UserError("no task given; choose one with --task, or a stopped run with --resume")
-    until = _success_threshold(until_success)
-    with told_when_interrupted(folder):
-        from iher_robot.training.train import train as train_run
-
-        result = train_run(
-            task=task,
-            driver=driver,
-            robot=robot,
-            connect=connect or (),
-            preset=preset,
-            algo=algo,
-            budget_minutes=budget_minutes,
-            overrides=overrides or (),
-            seed=seed,
-            out=folder,
-            until_success=until,
-            device=device,
-            asynchronous=asynchronous,
-            simulators=simulators,
-            display=display,
-            video=video,
-            from_data=from_data or (),
-        )
+            result = train_run(
+                task=task,
+                driver=driver,
+                robot=robot,
+                connect=connect or (),
+                preset=preset,
+                algo=algo,
+                budget_minutes=budget_minutes,
+                overrides=overrides or (),
+                seed=seed,
+                out=folder,
+                until_success=until,
+                device=device,
+                asynchronous=asynchronous,
+                simulators=simulators,
+                display=display,
+                video=video,
+                from_data=from_data or (),
+            )
     typer.echo(result.summary())
+
+
+def _resume(folder: Path, *, simulators: int | None, display: bool, video: bool) -> TrainResult:
+    with told_when_interrupted(folder):
+        from iher_robot.training.train import resume
+
+        return resume(folder, simulators=simulators, display=display, video=video)
+
+
+def _train_config(
+    config: Path, folder: Path | None, *, simulators: int | None, display: bool, video: bool
+) -> TrainResult:
+    with told_when_interrupted(folder):
+        from iher_robot.config.run import change_simulators, read_config
+        from iher_robot.training.train import train
+
+        settings = read_config(config)
+        if simulators is not None:
+            settings = change_simulators(settings, simulators)
+        return train(settings, out=folder, display=display, video=video)
 
 
 def _success_threshold(text: str) -> float | None:

@@ -41,8 +41,9 @@ from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
+from iher_robot.training.result import TrainResult
 from iher_robot.training.setup import open_pool, open_training_setup
-from iher_robot.training.train import TrainResult, resume
+from iher_robot.training.train import resume
 from tests.forked import run_forked
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks
