@@ -1,4 +1,4 @@
-"""Training runs of seconds, and what they leave."""
+"""Training runs that take seconds, and their results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TINY = (
     "evaluation.final_episodes=2",
 )
 EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
-TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and what follows from them
+TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and values derived from them
 
 
 def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
@@ -68,7 +68,7 @@ class Interruption(KeyboardInterrupt):
 
 @contextmanager
 def interruption(owner: type, name: str, call: int) -> Iterator[None]:
-    """Cut off the given call of a method by a Ctrl-C, which must come through."""
+    """Raise an interrupt at the given call of a method; it must propagate."""
     original: Callable[..., Any] = getattr(owner, name)
     calls = 0
 
@@ -86,12 +86,12 @@ def interruption(owner: type, name: str, call: int) -> Iterator[None]:
 
 
 def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let runs have their robot and no other to be evaluated on, as with a physical one."""
+    """Give runs no simulator for evaluation, as with a physical robot."""
     original = setup_module.open_training_setup
 
     @contextmanager
     def without_simulator(config: Any) -> Iterator[Any]:
-        with original(config) as cell:
-            yield dataclasses.replace(cell, simulator=None)
+        with original(config) as setup:
+            yield dataclasses.replace(setup, simulator=None)
 
     monkeypatch.setattr(train_module, "open_training_setup", without_simulator)

@@ -39,22 +39,20 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of every draw of the run.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers of the run.")] = 0,
     out: Annotated[
         str | None,
-        typer.Option(metavar="DIR", help="Folder to make for the run, by default under runs/."),
+        typer.Option(metavar="DIR", help="Folder to create for the run, by default under runs/."),
     ] = None,
     resume: Annotated[
         str | None,
-        typer.Option(
-            metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
-        ),
+        typer.Option(metavar="DIR", help="Folder of a stopped run to continue, with its settings."),
     ] = None,
     config: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="All settings from a file, such as the config.yaml of another run.",
+            help="File with all settings of the run, such as the config.yaml of another run.",
             show_default=False,
         ),
     ] = None,
@@ -62,7 +60,7 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="DIR",
-            help="Begin with the real episodes of an earlier run; may be repeated.",
+            help="Start with the real episodes of an earlier run; may be repeated.",
             show_default=False,
         ),
     ] = None,
@@ -74,14 +72,14 @@ def train(
         bool | None,
         typer.Option(
             "--async/--sync",
-            help="Learn in a process of its own while the robot moves, or in turn with it.",
+            help="Learn in another process while the robot moves, or in turn with it.",
             show_default=False,
         ),
     ] = None,
     simulators: Annotated[
         int | None,
         typer.Option(
-            help="Simulated robots side by side, each on a core of its own.", show_default=False
+            help="Number of parallel simulated robots, one core each.", show_default=False
         ),
     ] = None,
     video: Annotated[
@@ -91,7 +89,7 @@ def train(
         bool, typer.Option("--display/--quiet", " /--no-display", help="The live display.")
     ] = True,
 ) -> None:
-    """Learn a task within a budget of robot minutes and leave a policy."""
+    """Learn a task within a budget of robot minutes; writes a policy."""
     rank = read_torchrun_rank()
     if rank is not None and rank.rank:
         from iher_robot.training.learners.distributed_worker import main as learn_with_others
@@ -106,7 +104,7 @@ def train(
         _refuse_settings_beside(context, "--config", _BESIDE_CONFIG)
         result = _train_config(config, folder, simulators=simulators, display=display, video=video)
     elif task is None:
-        raise UserError("no task given; name one with --task, or a stopped run with --resume")
+        raise UserError("no task given; choose one with --task, or a stopped run with --resume")
     else:
         until = _success_threshold(until_success)
         with told_when_interrupted(folder):
