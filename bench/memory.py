@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
         SimulatedClock,
         make_driver,
     )
-    from iher_robot.config.run import RunConfig, load_config, read_config
+    from iher_robot.config.options import load_config
+    from iher_robot.config.run import RunConfig, read_config
     from iher_robot.deployment.deploy import DeployResult, deploy
     from iher_robot.env.goal_env import GoalRobotEnv, make_env
     from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
@@ -142,7 +143,8 @@ _NAMES = {
         "SimulatedClock",
         "make_driver",
     ),
-    "iher_robot.config.run": ("RunConfig", "load_config", "read_config"),
+    "iher_robot.config.options": ("load_config",),
+    "iher_robot.config.run": ("RunConfig", "read_config"),
     "iher_robot.deployment.deploy": ("DeployResult", "deploy"),
     "iher_robot.env.goal_env": ("GoalRobotEnv", "make_env"),
     "iher_robot.evaluation.evaluate": ("EvaluationResult", "evaluate"),

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from iher_robot.config.options import load_config
 from iher_robot.config.robot import choose_robot
-from iher_robot.config.run import dump_config, load_config
+from iher_robot.config.run import dump_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.accounts import Account

@@ -9,7 +9,7 @@ from itertools import islice
 from bench.memory import record, variations
 from bench.speed.precision import Precision
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import make_env
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner

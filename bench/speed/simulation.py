@@ -18,7 +18,7 @@ from bench.speed.comparison import Comparison, Contender, Kind, Target
 from bench.speed.learners import learner_of_push
 from bench.speed.official import make_official
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner

@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from iher_robot.config.options import load_config
 from iher_robot.config.robot import DEFAULT_DRIVER
-from iher_robot.config.run import RunConfig, load_config, plain_identity
+from iher_robot.config.run import RunConfig, plain_identity
 from iher_robot.errors import UserError
 from iher_robot.experiments.manifest import Grid, Manifest
 from tasks import TaskError

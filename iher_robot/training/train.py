@@ -12,15 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
-from iher_robot.config.run import (
-    RunConfig,
-    RunOptions,
-    change_simulators,
-    check_options,
-    dump_config,
-    load_config,
-    read_config,
-)
+from iher_robot.config.options import RunOptions, check_options, load_config
+from iher_robot.config.run import RunConfig, change_simulators, dump_config, read_config
 from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import check_fit, load_trained_policy

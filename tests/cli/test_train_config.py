@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from iher_robot.cli.app import main
-from iher_robot.config.run import dump_config, load_config, read_config
+from iher_robot.config.options import load_config
+from iher_robot.config.run import dump_config, read_config
 from tests.small_runs import EPOCH_MINUTES, TINY, metrics
 
 TINY_RUN = ["--task", "reach", "--preset", "paper", "--seed", "4", "--device", "cpu"]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from iher_robot.config.layers import experiment_names
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.config.yaml import format_yaml
 from iher_robot.errors import UserError
 from iher_robot.experiments.grid import Cell, differences, expand

@@ -18,7 +18,7 @@ from bench.speed.precision import PRECISIONS
 from bench.speed.results import rows
 from bench.speed.rounds import Found, run_rounds
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import make_env
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.transitions import Transitions

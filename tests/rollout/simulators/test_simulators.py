@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.evaluate import evaluate
