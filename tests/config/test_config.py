@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from iher_robot.config import layers as config_source
-from iher_robot.config.run import RunConfig, dump_config, load_config, read_config
+from iher_robot.config.options import load_config
+from iher_robot.config.run import RunConfig, dump_config, read_config
 from iher_robot.errors import UserError
 from iher_robot.learning.config import DDPGConfig
 from tests.repository import ROOT
@@ -250,7 +251,7 @@ def test_a_damaged_config_file_is_named(tmp_path: Path, text: str) -> None:
         read_config(path)
 
 
-def test_a_config_file_lacks_no_key(tmp_path: Path) -> None:
+def test_a_config_file_must_have_every_key(tmp_path: Path) -> None:
     path = tmp_path / "config.yaml"
     lines = dump_config(RunConfig()).splitlines(keepends=True)
     for kept in range(len(lines)):
@@ -266,7 +267,7 @@ def test_a_config_file_lacks_no_key(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [{"algo": "hr"}, {"preset": "papr"}])
-def test_a_config_file_names_what_exists(tmp_path: Path, change: dict[str, str]) -> None:
+def test_a_config_file_must_name_existing_things(tmp_path: Path, change: dict[str, str]) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(dump_config(RunConfig().model_copy(update=change)))
     with pytest.raises(UserError, match=r"config\.yaml: unknown (algorithm|preset) .*did you mean"):

@@ -1,4 +1,4 @@
-"""A robot by name or by file, and who is to blame for what is in it."""
+"""Choice of a robot by name or by file, and its errors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_simulated_robot_has_a_default_and_other_drivers_their_own() -> None
     assert choose_robot("other", "fetch-mocap").options == {"actuation": "mocap"}
 
 
-def test_a_file_of_ones_own_reaches_the_driver_as_it_is(
+def test_a_users_file_reaches_the_driver_unchanged(
     mine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mine.write_text("object: {mass_kg: 1e-1}\nactuation: mocap\ndelay: 2\n")
@@ -53,7 +53,7 @@ def test_a_file_of_ones_own_reaches_the_driver_as_it_is(
         ("- fetch", r"mine\.yaml: expected lines of 'key: value'"),
     ],
 )
-def test_what_is_not_the_robots_is_refused(mine: Path, text: str, message: str) -> None:
+def test_keys_that_are_not_the_robots_are_refused(mine: Path, text: str, message: str) -> None:
     mine.write_text(text)
     with pytest.raises(UserError, match=message):
         choose_robot("mujoco", str(mine))
@@ -68,14 +68,12 @@ def test_what_is_not_the_robots_is_refused(mine: Path, text: str, message: str) 
         ("", "unknown robot ''"),
     ],
 )
-def test_a_robot_that_is_not_there_is_named(name: str, message: str) -> None:
+def test_an_unknown_robot_is_named(name: str, message: str) -> None:
     with pytest.raises(UserError, match=message):
         choose_robot("mujoco", name)
 
 
-def test_what_the_driver_finds_wrong_is_told_with_the_file(
-    mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_the_driver_names_the_file(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise InvalidSpec("object.mass_kg is -1, allowed: above 0")
 
@@ -133,7 +131,7 @@ def test_the_options_of_a_command_name_the_same_file(mine: Path, text: str) -> N
         assert from_words(robot.command_options) == robot
 
 
-def test_a_robot_on_the_network_goes_by_its_name_there() -> None:
+def test_a_robot_on_the_network_is_chosen_by_its_name_there() -> None:
     assert choose_robot("zenoh", None) == ChosenRobot("zenoh", "fetch", {"robot": "fetch"})
     arm = choose_robot("zenoh", "arm-2", ["tcp/a:1"])
     assert arm.options == {"robot": "arm-2", "connect": ["tcp/a:1"]}
@@ -155,18 +153,18 @@ def test_a_file_may_name_its_driver_which_is_no_option(mine: Path) -> None:
         choose_robot(None, str(mine))
 
 
-def test_files_that_a_file_names_lie_beside_it(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_in_a_file_are_relative_to_it(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine.write_text(
         "driver: zenoh\nuser: me\npassword_file: secret/mine.txt\n"
         "tls: {ca: /etc/ca.pem, key: ../me.key, certificate: 3}\n"
     )
     monkeypatch.chdir(mine.parent)
-    for name in (str(mine), mine.name):  # wherever the command is run, and later resumed
+    for name in (str(mine), mine.name):  # independent of the working folder
         options = choose_robot(None, name).options
         assert options["password_file"] == str(mine.parent / "secret/mine.txt")
         assert options["tls"]["ca"] == "/etc/ca.pem"
         assert Path(options["tls"]["key"]).resolve() == mine.parent.parent / "me.key"
-        assert options["tls"]["certificate"] == 3  # for the driver to judge
+        assert options["tls"]["certificate"] == 3  # the driver checks it
         assert options["user"] == "me"
 
     mine.write_text("password_file: mine.txt\n")

@@ -1,4 +1,4 @@
-"""What ``iher-robot data`` says of runs, whole and damaged ones, and of one that goes on."""
+"""``iher-robot data`` on intact runs, damaged runs, and runs in progress."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_run_in_one_line(run: Path) -> None:
         *("reach", "mujoco fetch-mocap", "iher", "default"),
         7,
     )
-    # One that was cut short did not succeed, wherever it was by then.
+    # An episode that was cut short did not succeed, even at the goal.
     assert (line.episodes, line.successes) == (4, 2)
     motion, evaluation = minutes(*EPISODES[:3]), minutes(EPISODES[3])
     assert line.robot_time == f"motion {motion}, evaluation {evaluation}"
@@ -87,13 +87,13 @@ def test_the_groups_add_up(run: Path) -> None:
         assert group.clipped_ticks == sum(
             (one.valid & (one.actions != one.requested_actions).any(1)).sum() for one in episodes
         )
-        # Only the last tick of one that succeeds is at the goal.
+        # Only the last tick of a successful episode is at the goal.
         at_goal = sum(one.ended == "done" or "stopped" in one.ended for one in members[-2:])
         assert group.mean_return == pytest.approx((at_goal - group.ticks) / len(members))
     assert [group.successes for group in groups] == [1, 1]
 
 
-def test_a_report_says_what_the_numbers_mean(run: Path) -> None:
+def test_a_report_explains_the_numbers(run: Path) -> None:
     report = show(run)
 
     assert report.title == "reach on mujoco fetch-mocap, iher, default, seed 7"
@@ -117,7 +117,7 @@ def test_an_episode_tick_by_tick(run: Path) -> None:
             show_episode(run, index)
 
 
-def test_a_whole_run_is_whole(run: Path) -> None:
+def test_an_intact_run_has_no_problems(run: Path) -> None:
     make_run(run.parent / "second", [make_stored(9, valid=(True,))])
 
     assert verify([run]).summary() == "4 episodes, 19 ticks: no problems"
@@ -155,7 +155,7 @@ def test_every_changed_byte_of_an_episode_is_found(run: Path) -> None:
 
 
 def forge_episode(run: Path) -> None:
-    """A file that is whole in itself, but not the one that was stored."""
+    """An intact file that is not the one that was stored."""
     path = run / "episodes" / "episode-000002.npz"
     with np.load(path, allow_pickle=False) as file:
         arrays = dict(file)
@@ -243,7 +243,7 @@ def metrics_of_more(run: Path) -> None:
         (metrics_of_more, "metrics.jsonl reports 5 episodes of motion, but 3 are stored", 4),
     ],
 )
-def test_damage_is_found_and_its_file_named(
+def test_damage_is_found_and_names_the_file(
     run: Path, damage: Callable[[Path], None], file: str, whole: int
 ) -> None:
     damage(run)
@@ -257,7 +257,7 @@ def test_damage_is_found_and_its_file_named(
 
 
 @pytest.mark.parametrize("damage", [lose_episode, damage_index, lose_config, lose_ledger])
-def test_a_damaged_run_is_a_line_that_says_so(run: Path, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_run_is_listed_as_damaged(run: Path, damage: Callable[[Path], None]) -> None:
     make_run(run.parent / "second", EPISODES)
     damage(run)
     first, second = ls([run.parent])
@@ -277,7 +277,7 @@ def test_episodes_of_another_task_are_found(run: Path, tmp_path: Path) -> None:
     assert "(25,)" in ls([run])[0].problem
 
 
-def test_a_run_that_goes_on_can_be_read(run: Path) -> None:
+def test_a_run_in_progress_can_be_read(run: Path) -> None:
     tick = EPISODES[0].episode
     recorded = RecordedTick(
         tick.observations[1], tick.actions[0], tick.requested_actions[0], True, 8, 1
@@ -302,7 +302,7 @@ def test_a_run_that_goes_on_can_be_read(run: Path) -> None:
     assert after.last_change >= before.last_change
 
 
-def test_an_episode_that_is_told_of_only_while_it_is_checked_is_no_damage(
+def test_an_episode_reported_during_the_check_is_no_damage(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def then_goes_on(folder: Path) -> Iterator[StoredEpisode | UserError]:
@@ -316,7 +316,7 @@ def test_an_episode_that_is_told_of_only_while_it_is_checked_is_no_damage(
     assert len(verify([run]).problems) == 1
 
 
-def test_nothing_is_checked_where_one_is_no_run(run: Path) -> None:
+def test_nothing_is_checked_if_one_folder_is_no_run(run: Path) -> None:
     damage_index(run)
     with pytest.raises(UserError, match=r"there is no run at .*absent"):
         verify([run, run / "absent"])

@@ -1,4 +1,4 @@
-"""Exports hold what was stored, exactly, or nothing of them is left."""
+"""Exports hold exactly the stored data, or are not written at all."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ pq = pytest.importorskip("pyarrow.parquet", reason="comes with the data extra")
 
 VALID = st.lists(st.booleans(), min_size=1, max_size=7).map(tuple)
 ACCOUNT: st.SearchStrategy[Account] = st.sampled_from(["motion", "evaluation"])
-# At least one tick is valid, or Minari could hold none.
+# At least one tick is valid: Minari has no empty datasets.
 EPISODES = st.lists(st.tuples(VALID, ACCOUNT, st.booleans()), max_size=4).map(
     lambda drawn: [
         make_stored(index, valid=valid, account=account, success=success, epoch=index // 2)
@@ -117,7 +117,7 @@ def test_minari_holds_every_valid_tick_exactly_and_no_transition_spans_another(
     )
     assert result.left_out_ticks == sum(int((~one.episode.valid).sum()) for one in stored)
     for number, (one, segment) in enumerate(cut):
-        found, told = dataset[number], metadata[number]
+        found, meta = dataset[number], metadata[number]
         np.testing.assert_array_equal(found.observations["observation"], segment.observations)
         np.testing.assert_array_equal(
             found.observations["achieved_goal"], segment.observations[:, :3]
@@ -137,10 +137,10 @@ def test_minari_holds_every_valid_tick_exactly_and_no_transition_spans_another(
         np.testing.assert_array_equal(one.episode.observations[ticks], segment.observations)
         np.testing.assert_array_equal(found.infos["seq"][1:], one.seqs[ticks[1:] - 1])
         assert (np.diff(found.infos["seq"]) == 1).all()
-        assert (told["run"], told["stored_episode"]) == ("run", one.index)
-        assert (told["account"], told["epoch"]) == (one.account, one.epoch)
-        assert (told["told_source"], told["ended"]) == (one.policy_source, one.ended)
-        assert told.get("seed") == (one.seed if ticks[0] == 0 else None)
+        assert (meta["run"], meta["stored_episode"]) == ("run", one.index)
+        assert (meta["account"], meta["epoch"]) == (one.account, one.epoch)
+        assert (meta["told_source"], meta["ended"]) == (one.policy_source, one.ended)
+        assert meta.get("seed") == (one.seed if ticks[0] == 0 else None)
 
 
 IN_A_NEW_PROCESS = """
@@ -177,7 +177,7 @@ def test_a_new_process_loads_the_dataset_and_its_environment(tmp_path: Path) -> 
     assert json.loads(done.stdout) == [True, True, digest, 50, "iher_robot/Push-v0"]
 
 
-def test_metadata_say_what_the_numbers_mean_and_where_they_are_from(tmp_path: Path) -> None:
+def test_metadata_explain_the_numbers_and_their_provenance(tmp_path: Path) -> None:
     make_run(tmp_path / "run", [make_stored(0)], seed=5)
     export_minari([tmp_path / "run"], dataset="reach-v0", root=tmp_path)
     export_parquet([tmp_path / "run"], out=tmp_path / "reach.parquet")
@@ -211,7 +211,7 @@ def test_several_runs_and_one_account(tmp_path: Path) -> None:
         export_parquet(runs, out=out, account=account, overwrite=True)
         return [(row["run"], row["episode"]) for row in rows(out) if row["tick"] == 0]
 
-    # Those that share a folder's name are told apart by their paths.
+    # Runs whose folders have the same name are named by their paths.
     assert exported("all") == [(str(one), 0), (str(one), 1), (str(two), 0), ("three", 0)]
     assert exported("evaluation") == [(str(one), 1), (str(two), 0)]
     result = export_minari(runs, dataset="reach-v0", root=tmp_path, account="motion")
@@ -219,12 +219,12 @@ def test_several_runs_and_one_account(tmp_path: Path) -> None:
 
 
 def visible(folder: Path) -> list[Path]:
-    """All below a folder, but what SQLite lays beside a database that is read."""
+    """All paths below a folder, except SQLite's temporary files."""
     return [path for path in sorted(folder.rglob("*")) if path.suffix[-4:] not in ("-shm", "-wal")]
 
 
 def fail(tmp_path: Path, runs: Sequence[Path], *parts: str, account: str = "all") -> None:
-    """Check that both exports refuse, say so, and leave nothing."""
+    """Check that both exports refuse with this message and leave nothing."""
     before = visible(tmp_path)
     exports: list[Callable[[], object]] = [
         lambda: export_parquet(runs, out=tmp_path / "out.parquet", account=account),
@@ -238,7 +238,7 @@ def fail(tmp_path: Path, runs: Sequence[Path], *parts: str, account: str = "all"
     assert visible(tmp_path) == before
 
 
-def test_runs_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
+def test_runs_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
     reach, push, again = tmp_path / "reach", tmp_path / "push", tmp_path / "again"
     make_run(reach, [make_stored(0)])
     make_run(push, [make_stored(0, task="push")], task="push")
@@ -258,7 +258,7 @@ def test_runs_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
     fail(tmp_path, [reach, tmp_path / "absent"], "no run at")
 
 
-def test_a_damaged_run_leaves_nothing_half_written_and_what_was_there(tmp_path: Path) -> None:
+def test_a_damaged_run_leaves_earlier_exports_and_nothing_half_written(tmp_path: Path) -> None:
     run, out, root = tmp_path / "run", tmp_path / "kept.parquet", tmp_path / "datasets"
     make_run(run, [make_stored(seed) for seed in range(3)])
     export_parquet([run], out=out)
@@ -278,7 +278,7 @@ def test_a_damaged_run_leaves_nothing_half_written_and_what_was_there(tmp_path: 
     fail(tmp_path, [run], "episode-000002.npz")
 
 
-def test_what_is_there_is_replaced_only_if_that_is_asked_for(tmp_path: Path) -> None:
+def test_an_existing_export_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
     first, second, out = tmp_path / "first", tmp_path / "second", tmp_path / "out.parquet"
     make_run(first, [make_stored(0)])
     make_run(second, [make_stored(1), make_stored(2)])
@@ -298,7 +298,7 @@ def test_what_is_there_is_replaced_only_if_that_is_asked_for(tmp_path: Path) -> 
     assert load(tmp_path, "b-v0").total_episodes == 2
 
 
-def test_what_is_no_dataset_is_never_replaced(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_dataset_is_never_replaced(tmp_path: Path) -> None:
     make_run(tmp_path / "run", [make_stored(0)])
     (tmp_path / "b-v0").mkdir()
     (tmp_path / "b-v0" / "thesis.tex").touch()

@@ -34,7 +34,7 @@ def _one_thread() -> None:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Random episodes of Reach, by way of a run's folder."""
+    """Random episodes of Reach in the folder of a run."""
     folder = tmp_path_factory.mktemp("export")
     with make_env("reach", actuation="mocap") as env:
         make_run(folder / "run", (record_episode(env, seed) for seed in range(EPISODES)))
@@ -45,7 +45,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def make_agent(dataset: Any) -> tuple[TD3, VecNormalize]:
-    """An agent whose replay holds the dataset, with inputs scaled as the dataset is."""
+    """An agent with the dataset as its replay, and inputs scaled by the dataset."""
     env = DummyVecEnv([dataset.recover_environment])
     scaled = VecNormalize(env, training=False, norm_reward=False)
     agent = TD3(

@@ -1,4 +1,4 @@
-"""Runs on a served robot that are killed again and again, and checked after each kill."""
+"""Campaign of kills: runs on a served robot, checked after each kill."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _SHARES = {
     Kind.FULL_DISK: 8,
     Kind.JUMPING_CLOCK: 8,
 }
-"""Of 100 kills."""
+"""Share of each kind among 100 kills."""
 
 
 def deal(kills: int, seed: int) -> list[Kind]:
-    """Draw what each kill is aimed at: every kind by its share, in a random order."""
+    """Draw the kind of each kill: every kind by its share, in random order."""
     kinds = list(_SHARES)
     parts = np.array(list(_SHARES.values())) / sum(_SHARES.values())
     deck = [kind for kind, part in zip(kinds, parts, strict=True) for _ in range(int(part * kills))]
@@ -45,16 +45,16 @@ def deal(kills: int, seed: int) -> list[Kind]:
 
 @dataclass
 class Findings:
-    """What came of it.
+    """Results of a campaign.
 
     Attributes:
-        kills: By kind.
-        left: In the middle of what they came.
+        kills: Kills by kind.
+        left: Kills by the unfinished work that they left.
         not_run: Kinds that this machine does not permit, with the reason.
-        runs: Runs that were finished.
+        runs: Finished runs.
         true_ticks: Ticks in which a command of these runs was in force.
-        in_flight: Of these, the ones that no episode has.
-        overcounts: Of each run, how often it was killed and what its ledger counts too much.
+        in_flight: Those of them that are in no episode.
+        overcounts: Kills and over-counted ticks of each run.
     """
 
     kills: Counter[str] = field(default_factory=Counter)
@@ -66,7 +66,7 @@ class Findings:
     overcounts: list[tuple[int, int]] = field(default_factory=list)
 
     def take(self, run: KilledRun) -> None:
-        """Count a run that is finished."""
+        """Add a finished run."""
         self.runs += 1
         self.true_ticks += len(run.witness.true_ticks)
         self.in_flight += run.in_flight
@@ -74,14 +74,14 @@ class Findings:
 
 
 class Campaign:
-    """A host, and runs on it one after the other.
+    """A host, and consecutive runs on it.
 
     Args:
-        folder: Everything is kept there.
-        kinds: What each kill is aimed at, in this order.
-        seed: Decides the moments.
+        folder: Folder of everything.
+        kinds: Kind of each kill, in order.
+        seed: Seed of the moments.
         budget_minutes: Robot minutes of a run.
-        echo: Told what happens.
+        echo: Prints progress.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Campaign:
         self._libraries: dict[str, Path] = {}
 
     def run(self) -> Findings:
-        """Kill until every kill was made, and see each run finish.
+        """Make every kill, and let each run finish.
 
         Raises:
             Violation: A guarantee was broken; the folder shows it.
@@ -126,7 +126,7 @@ class Campaign:
         return self.findings
 
     def _prepare(self, stack: ExitStack) -> None:
-        """Find out what this machine permits."""
+        """Prepare disk and libraries, and leave out kinds that this machine does not permit."""
         try:
             self._disk = stack.enter_context(SmallDisk(self._folder / "small"))
         except OSError as error:
@@ -156,7 +156,7 @@ class Campaign:
                     break
                 self._kinds.pop(0)
                 self.findings.kills[kind] += 1
-                self._tell(run, kind)
+                self._report(run, kind)
             if not run.finished:
                 run.finish()
         except Violation as violation:
@@ -166,7 +166,7 @@ class Campaign:
         self._echo(f"{folder.name} finished after {run.kills} kills")
         shutil.rmtree(folder)
 
-    def _tell(self, run: KilledRun, kind: Kind) -> None:
+    def _report(self, run: KilledRun, kind: Kind) -> None:
         self.findings.left[run.left] += 1
         made = self.findings.kills.total()
         self._echo(

@@ -1,4 +1,4 @@
-"""What happens in a folder, at the moment in which it does: files that live for a millisecond."""
+"""Watch a folder with inotify: also files that exist for a millisecond."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class FolderWatch(Closing):
-    """Tells the names of the files that are made, written or renamed in a folder (inotify)."""
+    """Reports files that are created, written or renamed in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self._descriptor = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -26,10 +26,10 @@ class FolderWatch(Closing):
             raise OSError(ctypes.get_errno(), f"cannot watch {folder}")
 
     def wait(self, timeout_s: float) -> list[str]:
-        """Return what has happened; empty after the time-out.
+        """Return the names of changed files; empty after the timeout.
 
         Args:
-            timeout_s: Longest time to wait for it.
+            timeout_s: Longest time to wait.
         """
         if not select.select([self._descriptor], [], [], timeout_s)[0]:
             return []

@@ -1,4 +1,4 @@
-"""The host's black box, read while it is written."""
+"""Reader of the host's tick log, while it is being written."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class LoggedTick:
 
 
 class HostLog:
-    """What one start of a host has logged so far.
+    """Tick log of one start of a host.
 
     Attributes:
-        ticks: In the order in which they passed.
+        ticks: Ticks so far, in order.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,7 +49,7 @@ class HostLog:
         """Return the ticks that were logged since the last call.
 
         Raises:
-            Violation: Armed ticks are missing, or the host was started anew.
+            Violation: Armed ticks are missing, or the host was restarted.
         """
         *lines, self._part = (self._part + self._file.read()).split(b"\n")
         before = len(self.ticks)
@@ -70,11 +70,11 @@ class HostLog:
                 raise Violation(f"the host's log goes from {last} to {tick}")
             self.ticks.append(tick)
         if len(self._boots) > 1:
-            raise Violation("the host was started anew in the middle of it")
+            raise Violation("the host was restarted during the run")
         return self.ticks[before:]
 
     def settle(self) -> None:
-        """Wait until the robot is disarmed: no command of a client that is gone can follow."""
+        """Wait until the robot is disarmed, after which no command of a lost client can follow."""
         asked_ns = time.monotonic_ns()
         while time.monotonic_ns() < asked_ns + _SETTLED_S * 1e9:
             self.read()

@@ -18,21 +18,21 @@ TICKS_PER_MINUTE = 1500
 _FINISH_S = 300.0
 _PATIENT_S = 30.0
 _FULL = "No space left on device|disk I/O error"
-"""The second is how SQLite tells that there is no room for its shared memory."""
+"""The second is SQLite's message if its shared memory has no room."""
 _QUICK = ("evaluation.robot_episodes=1", "learner.schedule.updates_per_step=1")
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run works.
+    """Environment of a run.
 
     Attributes:
-        folder: Of the run.
-        scratch: For what its processes print, and copies.
-        endpoint: Of the host.
-        log: The host's.
-        disk: On which the folder is, if it can be filled.
-        libraries: What a learner may be started with, by name.
+        folder: Folder of the run.
+        scratch: Folder for output of its processes, and for copies.
+        endpoint: Endpoint of the host.
+        log: Tick log of the host.
+        disk: Disk of the folder, if it can be filled.
+        libraries: Libraries to preload into a learner, by name.
     """
 
     folder: Path
@@ -44,15 +44,15 @@ class Place:
 
 
 class KilledRun:
-    """A run, with what the host saw of each of its processes.
+    """A run, with the host's record of each of its processes.
 
     Attributes:
-        kills: How many times it was killed so far.
-        found: What its folder held after the last one.
-        witness: What the host saw until then.
+        kills: Kills so far.
+        found: Content of its folder after the last kill.
+        witness: The host's record until then.
         finished: Whether it has ended by itself.
-        overcount: Ticks that its ledger counts too much.
-        left: In the middle of what the last kill came.
+        overcount: Ticks that its ledger over-counts.
+        left: Unfinished work that the last kill left.
     """
 
     def __init__(self, place: Place, budget_minutes: float) -> None:
@@ -73,17 +73,17 @@ class KilledRun:
 
     @property
     def in_flight(self) -> int:
-        """Ticks that no episode has."""
+        """Number of ticks that are in no episode."""
         return len(set(self.witness.true_ticks) - self.found.covered.keys())
 
     def strike(self, moment: Moment) -> bool:
-        """Let a process of the run live until a moment, and kill it.
+        """Run a process until a moment, and kill it.
 
         Returns:
-            Whether the moment came; not if the run finished before.
+            Whether the moment came before the run finished.
 
         Raises:
-            Violation: Something is wrong afterwards.
+            Violation: A guarantee was broken.
         """
         log = self._place.log
         log.read()
@@ -101,10 +101,10 @@ class KilledRun:
         return came
 
     def finish(self) -> None:
-        """Let it run to its end.
+        """Run a process to the end of the run.
 
         Raises:
-            Violation: It does not, or something is wrong in the end.
+            Violation: The run does not end, or a guarantee was broken.
         """
         log = self._place.log
         log.read()
@@ -134,10 +134,10 @@ class KilledRun:
         return Learner(options, output, environment)
 
     def _fill_the_disk(self, learner: Learner, moment: Moment) -> bool:
-        """Fill the disk; the learner says so in one sentence and ends, or is killed before.
+        """Fill the disk; the learner ends with one sentence about it, or is killed before.
 
         Returns:
-            Whether that kept it from finishing.
+            Whether it was kept from finishing.
         """
         disk = self._place.disk
         assert disk is not None
@@ -145,7 +145,7 @@ class KilledRun:
         try:
             code = learner.wait(moment.patience_s)
             if code is None and moment.patience_s >= _PATIENT_S:
-                raise Violation(f"the learner goes on for {moment.patience_s:g} s on a full disk")
+                raise Violation(f"the learner continues for {moment.patience_s:g} s on a full disk")
             learner.kill()
         finally:
             disk.clear()
@@ -154,7 +154,7 @@ class KilledRun:
         return code != 0
 
     def _take(self, ticks: list[LoggedTick], *, was_killed: bool) -> None:
-        """Take note of what was logged during a process, and check."""
+        """Record the ticks of a process, and check the folder."""
         folder = self._place.folder
         if was_killed:
             self.kills += 1
@@ -164,7 +164,7 @@ class KilledRun:
         self.left = "before its folder was made"
         if not (folder / "config.yaml").exists():
             if any(tick.commanded for tick in ticks) or (folder.exists() and any(folder.iterdir())):
-                raise Violation(f"{folder} can neither be resumed nor begun anew")
+                raise Violation(f"{folder} can neither be resumed nor started again")
             return
         self.found = look_into(folder, self._place.scratch)
         begun = any(tick.commanded for tick in ticks)

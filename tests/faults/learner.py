@@ -1,4 +1,4 @@
-"""A learner in a process group of its own, to be killed."""
+"""A learner in its own process group, to be killed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Learner(Closing):
     """One process of a run.
 
     Attributes:
-        command: How it was started.
-        output: What it printed.
+        command: Its command line.
+        output: File with its output.
     """
 
     def __init__(
@@ -41,14 +41,14 @@ class Learner(Closing):
         return self._process.poll() is None
 
     def wait(self, timeout_s: float) -> int | None:
-        """Return with which code it ended; None where it did not in time."""
+        """Return the exit code; None after the timeout."""
         try:
             return self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             return None
 
     def kill(self) -> None:
-        """End the whole group without a word; one that has ended already is left as it is."""
+        """Kill the whole group, if it still runs."""
         if self.runs:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait(30.0)
@@ -57,14 +57,14 @@ class Learner(Closing):
         return self.output.read_text(errors="replace")
 
     def require_ending(self, expected: int, pattern: str = "") -> None:
-        """Check how it ended by itself.
+        """Check the exit code and the output.
 
         Args:
-            expected: The code.
-            pattern: Regular expression of what it must have said.
+            expected: The exit code.
+            pattern: Regular expression that the output must match.
 
         Raises:
-            Violation: With another code, without saying that, or with a traceback.
+            Violation: The code or the output differ, or there is a traceback.
         """
         code, printed = self.wait(0.0), self.printed()
         if code == expected and re.search(pattern, printed) and "Traceback" not in printed:

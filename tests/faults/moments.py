@@ -1,4 +1,4 @@
-"""Moments in the life of a learner, drawn at random and then waited for."""
+"""Moments of a kill: draw one at random, and wait for it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.faults.learner import Learner
 
 STARTUP_S = 8.0
 EPOCH_S = 5.5
-"""About what a process needs until its first tick, and then for each epoch."""
+"""Approximate time to the first tick, and for each epoch."""
 EPISODE_TICKS = 50
 _POLL_S = 0.005
 SLOW_DISK, JUMPING_CLOCK = "slow_disk", "jumping_clock"
 
 
 class Kind(StrEnum):
-    """What a kill is aimed at."""
+    """Kind of a kill."""
 
     ANY_TIME = "any time"
     EPISODE = "within an episode"
@@ -37,15 +37,15 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Moment:
-    """When to strike.
+    """Moment of a kill.
 
     Attributes:
-        kind: What it is aimed at.
-        number: At which of several, from 1.
-        delay_s: How long after that.
-        patience_s: How long a learner on a full disk may go on before it is killed after all.
-        world: Library that the learner is started with, empty for none.
-        world_seed: For it.
+        kind: Kind of the kill.
+        number: Which of several occurrences, from 1.
+        delay_s: Delay after the occurrence.
+        patience_s: How long a learner may run on a full disk before it is killed.
+        world: Library to preload into the learner, empty for none.
+        world_seed: Seed of the library.
     """
 
     kind: Kind
@@ -62,9 +62,9 @@ def draw_moment(  # noqa: PLR0911 - one for each kind
     """Draw a moment.
 
     Args:
-        kind: What it is aimed at.
-        rng: Draws.
-        remaining_ticks: Of the run's budget: decides how long a process may live.
+        kind: Kind of the kill.
+        rng: Random generator.
+        remaining_ticks: Rest of the run's budget, which limits the life of a process.
     """
     life_s = STARTUP_S + EPOCH_S * max(1.0, remaining_ticks / EPISODE_TICKS)
     match kind:
@@ -98,7 +98,7 @@ class Scene:
         """Wait for a moment.
 
         Returns:
-            Whether it came; not if the learner ended before.
+            Whether it came before the learner ended.
         """
         match moment.kind:
             case Kind.EPISODE:
@@ -145,7 +145,7 @@ class Scene:
             while watch is not None and self._learner.runs:
                 for name in watch.wait(0.2):
                     if fnmatch(name, pattern):
-                        # Writing it are many events; another file comes between two of them.
+                        # One file causes many events; another file's event separates two files.
                         number -= name != last
                     last = name
                 if number <= 0:

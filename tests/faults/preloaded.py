@@ -1,4 +1,4 @@
-"""A world that is wrong, for a program and all that it starts: libraries to be loaded before it."""
+"""Libraries to preload into a program and its children, which falsify clock or disk."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ print(max(seen) - min(seen))
 
 
 def build_library(name: str, folder: Path) -> Path:
-    """Compile one.
+    """Compile a library.
 
     Args:
-        name: Of the source beside this file.
-        folder: Where the library is made.
+        name: Name of the source in this folder.
+        folder: Folder of the library.
 
     Raises:
         OSError: There is no C compiler here.
@@ -37,10 +37,10 @@ def build_library(name: str, folder: Path) -> Path:
 
 
 def build_jumping_clock(folder: Path) -> Path:
-    """Compile the clock that jumps, and see it jump.
+    """Compile the clock that jumps, and check that it jumps.
 
     Args:
-        folder: Where the library is made.
+        folder: Folder of the library.
 
     Raises:
         OSError: There is no C compiler here, or the clock does not jump.

@@ -1,4 +1,4 @@
-"""What a run's folder must hold after a kill, compared with what the host saw."""
+"""Compare the folder of a killed run with the host's record."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ from tests.faults.violation import Violation
 from tests.in_place import as_if_left_there
 
 OVERCOUNT_PER_KILL = 1
-"""Ticks that a ledger may count too much for each kill: the one in flight."""
+"""Ticks that a ledger may over-count for each kill: the one in flight."""
 
 
 @dataclass(frozen=True)
 class Witness:
-    """What the host saw of a run.
+    """The host's record of a run.
 
     Attributes:
         true_ticks: Numbers of the ticks in which a command of the run was in force.
-        last_ticks: Of these the last one of each process that was killed: it may have been in
-            flight.
+        last_ticks: The last of them of each killed process, which may have been in flight.
     """
 
     true_ticks: Collection[int]
@@ -42,11 +41,11 @@ class Witness:
 
     @staticmethod
     def of(killed: Sequence[Sequence[LoggedTick]], unharmed: Sequence[LoggedTick] = ()) -> Witness:
-        """Make one of what was logged during each process of a run.
+        """Build the record from the log of each process.
 
         Args:
-            killed: Ticks of the host's log, of each process that was killed.
-            unharmed: Of the one that ended by itself.
+            killed: Logged ticks of each killed process.
+            unharmed: Logged ticks of the process that ended by itself.
         """
         commanded = [[tick.seq for tick in ticks if tick.commanded] for ticks in killed]
         others = [tick.seq for tick in unharmed if tick.commanded]
@@ -56,16 +55,15 @@ class Witness:
 
 @dataclass
 class Found:
-    """What a run's folder holds.
+    """Content of a run's folder.
 
     Attributes:
-        spent: Ticks on the ledger, by account.
-        covered: Ticks of the robot that the stored episodes account for, with how many times.
+        spent: Ticks in the ledger, by account.
+        covered: Ticks of the robot in stored episodes, with their number of occurrences.
         valid: Those of them that may be learned from.
-        unseen: Ticks that are charged and were not seen.
-        aborted: Ticks that the last step of an episode cost that could not go on: they are charged,
-            and have no observation.
-        left: What the kill left half done, empty if nothing.
+        unseen: Ticks that were charged but not observed.
+        aborted: Ticks of the last step of an aborted episode, charged and without observation.
+        left: Unfinished work that the kill left, empty if none.
     """
 
     spent: dict[str, int]
@@ -81,13 +79,13 @@ class Found:
 
 
 def look_into(folder: Path, scratch: Path) -> Found:
-    """Read the folder of a run that has been killed, as a resume would find it.
+    """Read the folder of a killed run as a resumption would.
 
-    It works on a copy, so that the resume itself has to do it all again.
+    Reads a copy, so that the resumption itself still has to recover everything.
 
     Args:
         folder: The run's folder.
-        scratch: Where there is room for the copy.
+        scratch: Folder for the copy.
     """
     with tempfile.TemporaryDirectory(dir=scratch) as copy_name:
         copy = Path(copy_name) / "run"
@@ -114,7 +112,7 @@ def look_into(folder: Path, scratch: Path) -> Found:
 
 
 def _left(folder: Path) -> str:
-    """Say what is half done in the folder of a run."""
+    """Name the unfinished work in the folder of a run."""
     for name in ("checkpoint", "policy"):
         if any(folder.glob(f".{name}*.tmp")):
             return f"a {name} half written"
@@ -165,15 +163,15 @@ def compare(found: Found, witness: Witness, kills: int) -> int:
     """Check that no tick is missing, repeated or invented, and that the ledger counts them all.
 
     Args:
-        found: In the run's folder.
-        witness: What the host saw.
-        kills: How many times the run was killed.
+        found: Content of the run's folder.
+        witness: The host's record.
+        kills: Kills of the run.
 
     Returns:
-        How many ticks the ledger counts too much.
+        Ticks that the ledger over-counts.
 
     Raises:
-        Violation: It is otherwise.
+        Violation: Ticks are missing, repeated, invented or miscounted.
     """
     twice = sorted(seq for seq, times in found.covered.items() if times > 1)
     if twice:
@@ -205,7 +203,7 @@ def check_finished(folder: Path, found: Found, budget_ticks: int) -> None:
 
     Args:
         folder: The run's folder.
-        found: In it.
+        found: Its content.
         budget_ticks: Its budget.
 
     Raises:

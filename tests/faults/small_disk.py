@@ -1,4 +1,4 @@
-"""A disk that can be filled: a file system in memory, of a few megabytes."""
+"""A disk that can be filled: a small file system in memory."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _BLOCK = b"\0" * (1 << 16)
 
 
 class SmallDisk(Closing):
-    """Mounted until it is closed.
+    """A small file system, mounted until it is closed.
 
     Attributes:
-        folder: Where.
+        folder: Mount point.
     """
 
     def __init__(self, folder: Path, size_mb: int = 64) -> None:
-        """Mount it.
+        """Mount the file system.
 
         Raises:
             OSError: This system does not permit it.
@@ -34,7 +34,7 @@ class SmallDisk(Closing):
         self.folder = folder
 
     def fill(self) -> None:
-        """Leave not a byte."""
+        """Fill the disk to the last byte."""
         with (self.folder / "filler").open("ab", buffering=0) as file:
             for size in (len(_BLOCK), 1):
                 try:
@@ -45,7 +45,7 @@ class SmallDisk(Closing):
                         raise
 
     def clear(self) -> None:
-        """Give the space back."""
+        """Free the space."""
         (self.folder / "filler").unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -53,7 +53,7 @@ class SmallDisk(Closing):
 
 
 def why_no_disk(scratch: Path) -> str:
-    """Say why no small disk can be had here; empty if one can."""
+    """Why no small disk can be mounted here; empty if one can."""
     try:
         SmallDisk(scratch / "probe", 1).close()
     except OSError as error:
@@ -62,10 +62,10 @@ def why_no_disk(scratch: Path) -> str:
 
 
 def enter_namespace(arguments: list[str]) -> None:
-    """Start this program again where it may mount, if the system has such a place.
+    """Restart this program in a namespace where it may mount, if the system permits that.
 
     Args:
-        arguments: Of the program.
+        arguments: Arguments of the program.
     """
     inside = "IHER_FAULTS_NAMESPACE"
     if inside in os.environ:

@@ -1,4 +1,4 @@
-"""What a program asks of the system, in order, as strace sees it."""
+"""System calls of a program in order, as traced by strace."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 TRACED = "write,writev,pwrite64,pwritev,fsync,fdatasync,sendto,sendmsg,rename,renameat,renameat2"
 _COMMAND = "q_target"
-"""A field of a command that moves: no other message has it, and strace shows it as text."""
+"""A field that only motion commands have, and strace shows as text."""
 _CALL = re.compile(r"^(\d+) +(\w+)\((.*)$")
 _RESUMED = re.compile(r"^(\d+) +<\.\.\. (\w+) resumed>(.*)$")
 _OF_FILE = re.compile(r"^\d+<([^>]*)>")
@@ -19,11 +19,11 @@ _UNFINISHED = "<unfinished ...>"
 
 @dataclass(frozen=True)
 class Call:
-    """One call that matters.
+    """One relevant call.
 
     Attributes:
-        kind: ``command``: a command leaves; ``write``, ``sync``: of a file or folder;
-            ``rename``: to a name.
+        kind: ``command`` for a sent command, ``write`` and ``sync`` of a file or folder, or
+            ``rename`` to a path.
         path: Relative to the run's folder, ``.`` for the folder itself; empty for a command.
     """
 
@@ -32,14 +32,14 @@ class Call:
 
 
 def read_calls(trace: Path, run: Path) -> list[Call]:
-    """Read what strace wrote: a call that takes its time counts when it can do harm.
+    """Read a trace, with each call at the moment that matters for safety.
 
-    A command has left, and a file is changed, when the call begins; what is synced or renamed is so
-    when it returns.
+    A command is sent and a file is written when the call begins; a sync or a rename is done when
+    the call returns.
 
     Args:
         trace: Output of ``strace -f -y``.
-        run: Folder of a run; what concerns other files is left out.
+        run: Folder of a run; calls on other files are left out.
     """
     return list(_read(trace.read_text(errors="replace").splitlines(), str(run)))
 

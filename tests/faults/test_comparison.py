@@ -1,4 +1,4 @@
-"""The harness notices what it is there to notice."""
+"""The harness finds every kind of violation."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_run_that_was_not_killed_has_every_tick() -> None:
         compare(_found([1, 2], 3), unharmed, kills=0)
 
 
-def test_a_tick_in_which_the_robot_was_held_is_charged_and_not_learned_from() -> None:
+def test_a_held_tick_is_charged_and_not_learned_from() -> None:
     assert compare(_found([1, 2, 3, 4, 7, 8], 6, valid={1, 2, 3, 7, 8}), KILLED, kills=2) == 0
 
 
@@ -92,7 +92,7 @@ def test_a_log_with_a_hole_proves_nothing(tmp_path: Path, line: str) -> None:
         HostLog(path).read()
 
 
-def test_a_file_is_noticed_that_is_gone_at_once(tmp_path: Path) -> None:
+def test_a_file_that_vanishes_at_once_is_reported(tmp_path: Path) -> None:
     with FolderWatch(tmp_path) as watch:
         assert watch.wait(0.0) == []
         (tmp_path / ".a.tmp").write_text("")

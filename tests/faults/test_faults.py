@@ -23,12 +23,12 @@ KINDS = (
 )
 _BUDGET_MINUTES = "0.06"
 _SEED = "111"
-"""Its moments come early, and within one run."""
+"""A seed whose moments are early and within one run."""
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the harness found; it ends with 1 at the first violation."""
+    """Report of the harness, which exits with 1 at the first violation."""
     folder = tmp_path_factory.mktemp("faults")
     out = folder / "faults.json"
     command = [sys.executable, "-m", "tests.faults", "--kills", str(len(KINDS)), "--seed", _SEED]

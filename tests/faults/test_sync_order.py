@@ -1,4 +1,4 @@
-"""What is on the disk before a command leaves, as the system sees it: a power cut may come then."""
+"""Order of writes and syncs, from system calls: data are on the disk before a command is sent."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def positions(calls: Sequence[Call], kind: str, path: str = "") -> list[int]:
 
 
 def unsynced(calls: Sequence[Call], path: str) -> list[int]:
-    """Commands that left while a file was written and not synced."""
+    """Commands sent while a file was written and not yet synced."""
     waits, found = False, []
     for i, call in enumerate(calls):
         if call.path == path:
@@ -67,13 +67,13 @@ def unsynced(calls: Sequence[Call], path: str) -> list[int]:
 
 
 def written_and_synced(calls: Sequence[Call], path: str, *, at_least: int = 1) -> bool:
-    """Whether something was written to a file in these calls, and after that synced."""
+    """Whether a file was written in these calls and then synced."""
     kinds = [call.kind for call in calls if call.path == path]
     return kinds.count("write") >= at_least and kinds[-1] == "sync"
 
 
 def episodes(calls: Sequence[Call]) -> list[tuple[list[int], int]]:
-    """Commands of each episode, and where it is renamed to its name."""
+    """Commands of each episode, and the call that renames its file."""
     ends = [i for i, c in enumerate(calls) if c.kind == "rename" and EPISODE.fullmatch(c.path)]
     begins = [0, *ends[:-1]]
     commands = positions(calls, "command")
@@ -104,7 +104,7 @@ def check_reservations(calls: Sequence[Call]) -> None:
 
 
 def check_sealing(calls: Sequence[Call]) -> None:
-    """An episode is whole and has its name before the journal, and then the ledger, let go."""
+    """An episode's file is synced and renamed before its journal and its account are closed."""
     for commands, renamed in episodes(calls):
         target = calls[renamed].path
         temporary = target.replace("episode-", ".episode-") + ".tmp"
@@ -120,7 +120,7 @@ def check_sealing(calls: Sequence[Call]) -> None:
 
 
 def check_checkpoints(calls: Sequence[Call]) -> None:
-    """A checkpoint is whole before it has its name, and has it for good before anything else."""
+    """A checkpoint is synced before its rename, and the rename before any other call."""
     renames = positions(calls, "rename", "checkpoint.pt")
     assert len(renames) == 2
     before = 0
@@ -171,7 +171,7 @@ def test_a_checkpoint_is_whole_before_it_replaces_the_last(calls: list[Call]) ->
 
 
 @pytest.mark.parametrize(("check", "missing"), CHECKS)
-def test_what_is_not_done_is_noticed(
+def test_a_missing_call_is_found(
     calls: list[Call], check: Callable[[Sequence[Call]], None], missing: Call
 ) -> None:
     with pytest.raises((AssertionError, IndexError)):

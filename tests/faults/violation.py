@@ -1,4 +1,4 @@
-"""What a run that is killed must never come to."""
+"""Error of a broken guarantee."""
 
 from __future__ import annotations
 

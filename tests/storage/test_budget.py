@@ -1,4 +1,4 @@
-"""What robot time was spent and granted, as a user asks for it."""
+"""The commands ``budget show`` and ``budget grant``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def say(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 
 
 def budget_left_granted(run: Path) -> tuple[int, int, int]:
-    """Ticks of a run's budget, of what is left of it, and of what was granted."""
+    """Ticks of a run's budget, of its rest, and its grants."""
     spending = spending_of_run(run)
     assert spending.budget is not None
     assert spending.left is not None
@@ -38,7 +38,7 @@ def budget_left_granted(run: Path) -> tuple[int, int, int]:
     return spending.budget.ticks, spending.left.ticks, spending.granted.ticks
 
 
-def test_a_grant_is_spent_by_a_resumed_run_and_by_nothing_else(
+def test_a_resumed_run_spends_exactly_the_grant(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert budget_left_granted(finished) == (100, 0, 0)
@@ -55,7 +55,7 @@ def test_a_grant_is_spent_by_a_resumed_run_and_by_nothing_else(
     assert budget_left_granted(finished) == (130, 0, 30)
 
 
-def test_a_grant_is_spent_though_the_run_had_succeeded(
+def test_a_grant_is_spent_even_if_the_run_had_succeeded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
@@ -71,7 +71,7 @@ def test_a_grant_is_spent_though_the_run_had_succeeded(
     assert motion_ticks(out) == 400, "until it succeeds twice again"
 
 
-def test_a_run_under_way_can_be_looked_at_and_not_changed(
+def test_a_run_in_progress_can_be_shown_but_not_granted_time(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     spent = spending_of_run(finished).spent["motion"].ticks
@@ -88,7 +88,7 @@ def test_a_run_under_way_can_be_looked_at_and_not_changed(
 
 
 @pytest.mark.parametrize("minutes", ["0", "nan", "inf", "1e-9"])
-def test_minutes_that_hold_no_tick_are_refused(
+def test_minutes_shorter_than_a_tick_are_refused(
     finished: Path, capsys: pytest.CaptureFixture[str], minutes: str
 ) -> None:
     before = spending_of_run(finished)
@@ -98,7 +98,9 @@ def test_minutes_that_hold_no_tick_are_refused(
     assert spending_of_run(finished) == before
 
 
-def test_what_is_no_run_has_no_budget(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_a_run_has_no_budget(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for words in (("show", str(tmp_path)), ("grant", str(tmp_path), "1")):
         code, _, err = say(capsys, "budget", *words)
         assert code == 2
@@ -108,7 +110,7 @@ def test_what_is_no_run_has_no_budget(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "not both" in err
 
 
-def test_changed_settings_are_noticed(finished: Path, tmp_path: Path) -> None:
+def test_changed_settings_are_refused(finished: Path, tmp_path: Path) -> None:
     config = finished / "config.yaml"
     text = config.read_text()
     try:

@@ -1,4 +1,4 @@
-"""Stored episodes come back exactly, or an error names their file."""
+"""Stored episodes are read back exactly, or an error names their file."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def record(store: EpisodeStore, stored: StoredEpisode, count: int | None = None)
 
 
 def assert_same(stored: StoredEpisode, expected: StoredEpisode, length: int | None = None) -> None:
-    """All that was stored, or the first ticks of it."""
+    """Everything that was stored, or its first ticks."""
     assert stored.header == expected.header
     count = len(expected.episode) if length is None else length
     for name in ("observations", "actions", "requested_actions", "valid", "desired_goal"):
@@ -78,7 +78,7 @@ def store(tmp_path: Path) -> Iterator[EpisodeStore]:
         yield store
 
 
-def test_episodes_come_back_exactly_and_in_order(store: EpisodeStore) -> None:
+def test_episodes_are_read_back_exactly_and_in_order(store: EpisodeStore) -> None:
     record(store, make_stored(3, length=1, account="evaluation", epoch=7))
     assert store.seal("stopped") == 3
 
@@ -92,7 +92,7 @@ def test_episodes_come_back_exactly_and_in_order(store: EpisodeStore) -> None:
     assert_same(loaded[3], make_stored(3, length=1, account="evaluation", epoch=7))
 
 
-def test_any_program_with_numpy_reads_an_episode(store: EpisodeStore) -> None:
+def test_numpy_alone_reads_an_episode(store: EpisodeStore) -> None:
     with np.load(store.directory / "episode-000001.npz", allow_pickle=False) as file:
         np.testing.assert_array_equal(file["observations"], make_stored(1).episode.observations)
 
@@ -145,7 +145,7 @@ def test_foreign_files_are_errors_that_name_them(store: EpisodeStore) -> None:
         store.load(1)
 
 
-def test_another_episode_under_the_same_name_is_noticed(store: EpisodeStore) -> None:
+def test_another_episode_under_the_same_name_is_refused(store: EpisodeStore) -> None:
     other = dataclasses.replace(make_stored(9), index=1)
     store.path(1).write_bytes(other.pack())
     with pytest.raises(UserError, match=r"episode-000001\.npz is not the file that was stored"):
@@ -161,14 +161,14 @@ def test_a_gap_is_an_error_that_names_the_missing_file(store: EpisodeStore) -> N
 
 
 @pytest.mark.parametrize("name", ["episode-000003.npz", "episode-000007.npz"])
-def test_an_index_that_is_older_than_the_files_is_named(store: EpisodeStore, name: str) -> None:
+def test_an_index_older_than_the_files_is_named(store: EpisodeStore, name: str) -> None:
     store.close()
     shutil.copy(store.path(2), store.directory / name)
     with pytest.raises(UserError, match=r"index\.sqlite .* restore the newest index"):
         EpisodeStore(store.directory)
 
 
-def test_what_a_crash_left_half_written_is_no_episode(store: EpisodeStore) -> None:
+def test_a_half_written_file_is_no_episode(store: EpisodeStore) -> None:
     store.close()
     (store.directory / ".episode-000003.npz.tmp").write_bytes(b"half")
     (store.directory / "notes.txt").write_text("mine")
@@ -179,7 +179,7 @@ def test_what_a_crash_left_half_written_is_no_episode(store: EpisodeStore) -> No
 
 
 @pytest.mark.parametrize("count", [0, 1, 4])
-def test_ticks_of_an_episode_that_was_cut_off_come_back(store: EpisodeStore, count: int) -> None:
+def test_ticks_of_a_cut_off_episode_are_recovered(store: EpisodeStore, count: int) -> None:
     record(store, make_stored(3), count)
     crash(store)
     with EpisodeStore(store.directory) as again:
@@ -194,7 +194,7 @@ def test_ticks_of_an_episode_that_was_cut_off_come_back(store: EpisodeStore, cou
         assert_same(once_more.load(len(once_more) - 1), make_stored(4))
 
 
-def test_an_episode_that_was_sealed_and_not_indexed_comes_back(
+def test_a_sealed_episode_missing_from_the_index_is_recovered(
     store: EpisodeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record(store, make_stored(3))
@@ -208,7 +208,7 @@ def test_an_episode_that_was_sealed_and_not_indexed_comes_back(
         assert again.load(3).ended == "done"
 
 
-def test_a_reader_does_not_mind_a_writer(store: EpisodeStore) -> None:
+def test_a_reader_works_beside_a_writer(store: EpisodeStore) -> None:
     record(store, make_stored(3), 2)
     with EpisodeReader(store.directory) as reader:
         assert len(list(reader)) == 3
@@ -220,7 +220,7 @@ def test_a_reader_does_not_mind_a_writer(store: EpisodeStore) -> None:
         assert len(list(reader)) == 4
 
 
-def test_a_tick_that_had_no_room_in_the_journal_is_kept_if_its_episode_was_sealed(
+def test_a_tick_missing_from_the_journal_is_kept_if_its_episode_was_sealed(
     store: EpisodeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record(store, make_stored(3), 4)
@@ -236,7 +236,7 @@ def test_a_tick_that_had_no_room_in_the_journal_is_kept_if_its_episode_was_seale
         assert again.load(3).ended == "lost"
 
 
-def test_a_reader_sees_one_moment_whatever_a_writer_does(store: EpisodeStore) -> None:
+def test_a_reader_sees_a_consistent_snapshot(store: EpisodeStore) -> None:
     stop, problems = threading.Event(), []
 
     def read() -> None:
@@ -262,7 +262,7 @@ def test_a_second_writer_is_refused(store: EpisodeStore) -> None:
         EpisodeStore(store.directory)
 
 
-def test_an_index_that_lost_what_it_had_is_named(store: EpisodeStore) -> None:
+def test_an_index_that_lost_entries_is_named(store: EpisodeStore) -> None:
     files = [store.directory / f"index.sqlite{suffix}" for suffix in ("", "-wal")]
     record(store, make_stored(3), 2)
     old = [file.read_bytes() for file in files]
@@ -279,7 +279,7 @@ def make_tick() -> RecordedTick:
 
 
 def crash(store: EpisodeStore) -> None:
-    """As when its process dies: nothing is sealed."""
+    """Close the store as a dying process does, without sealing."""
     store._index.close()
     store._lock.close()
 
@@ -288,7 +288,7 @@ def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_full_disk_leaves_the_store_as_it_was(
+def test_a_full_disk_leaves_the_store_unchanged(
     store: EpisodeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record(store, make_stored(3))
@@ -331,7 +331,7 @@ def test_objects_are_not_stored(store: EpisodeStore) -> None:
 
 
 @pytest.mark.parametrize("index", [-1, 3])
-def test_an_index_outside_the_store(store: EpisodeStore, index: int) -> None:
+def test_an_index_out_of_range_is_an_error(store: EpisodeStore, index: int) -> None:
     with pytest.raises(IndexError, match=f"episode {index} of 3"):
         store.load(index)
 

@@ -1,4 +1,4 @@
-"""The ledger adds up, over crashes too, and the budget is never exceeded."""
+"""The ledger adds up, even after crashes, and the budget is never exceeded."""
 
 from __future__ import annotations
 
@@ -92,9 +92,7 @@ def test_a_crash_leaves_what_had_begun_counted(path: Path) -> None:
 
 
 @pytest.mark.parametrize("note", [b"", b"junk", b"another start of the machine"])
-def test_without_a_note_of_this_start_of_the_machine_a_crash_leaves_all_counted(
-    path: Path, note: bytes
-) -> None:
+def test_a_crash_without_a_note_of_this_boot_leaves_all_counted(path: Path, note: bytes) -> None:
     subprocess.run([sys.executable, "-c", CRASH_AT_7, str(path)], check=False)
     lock_path(path).write_bytes(note or dump_checked({"boot": "x", "begun": {"3": 7}}))
     assert read_accounts(path).spent["motion"] == 98
@@ -116,8 +114,8 @@ class Interruption(KeyboardInterrupt):
     pass
 
 
-def test_an_interrupt_at_any_point_leaves_a_ledger_that_counts_what_had_begun(path: Path) -> None:
-    """Between any two lines of the ledger: what came before is counted, and it can go on."""
+def test_an_interrupt_at_any_line_leaves_begun_ticks_counted(path: Path) -> None:
+    """Interrupt between any two lines: earlier ticks are counted, and the ledger still works."""
     begun = lines = 0
 
     def trace(frame: FrameType, event: str, _: object) -> Any:
@@ -157,16 +155,14 @@ def test_an_interrupt_at_any_point_leaves_a_ledger_that_counts_what_had_begun(pa
     assert stop_at > 50
 
 
-def test_an_empty_file_is_a_lost_ledger_and_no_new_one(path: Path) -> None:
+def test_an_empty_file_is_a_damaged_ledger_not_a_new_one(path: Path) -> None:
     Ledger(path).close()
     path.write_bytes(b"")
     with pytest.raises(UserError, match=r"ledger\.sqlite is no ledger"):
         Ledger(path)
 
 
-def test_a_recovery_that_is_cut_off_itself_forgets_nothing(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_recovery_loses_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ledger = Ledger(path)
     for account, ticks in (("motion", 3), ("idle", 7)):
         with ledger.reserve(account, 500, counted=True) as entry:  # type: ignore[arg-type]
@@ -189,7 +185,7 @@ def test_a_recovery_that_is_cut_off_itself_forgets_nothing(
         assert (again.spent_ticks("motion"), again.spent_ticks("idle")) == (3, 7)
 
 
-def test_what_was_noted_and_never_written_is_nothing_of_the_next_reservation(path: Path) -> None:
+def test_a_note_of_an_unwritten_entry_does_not_count_for_the_next(path: Path) -> None:
     ledger = Ledger(path)
     ledger._note_begun(1, 0)
     ledger._database.close()
@@ -203,7 +199,9 @@ def test_what_was_noted_and_never_written_is_nothing_of_the_next_reservation(pat
         assert again.spent_ticks("reset") == 50
 
 
-def test_a_ledger_of_somebody_else_can_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ledger_without_write_permission_can_be_read(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with Ledger(path) as ledger, ledger.reserve("motion", 5) as entry:
         entry.settle(4)
     before = sorted(each.name for each in path.parent.iterdir())
@@ -226,7 +224,7 @@ def test_a_ledger_that_lost_its_newest_entries_is_named(path: Path) -> None:
         Ledger(path)
 
 
-def test_a_changed_entry_is_noticed(path: Path) -> None:
+def test_a_changed_entry_is_found(path: Path) -> None:
     with Ledger(path) as ledger:
         for ticks in (5, 6):
             with ledger.reserve("motion", ticks) as entry:
@@ -270,7 +268,7 @@ sys.stdin.read()
 """
 
 
-def test_a_second_process_is_told_that_the_ledger_is_in_use(path: Path) -> None:
+def test_a_second_process_is_refused(path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(path)],
         stdin=subprocess.PIPE,
@@ -293,7 +291,7 @@ def test_a_second_ledger_in_the_same_process_is_refused(path: Path) -> None:
     Ledger(path).close()
 
 
-def test_what_is_written_cannot_be_changed(path: Path) -> None:
+def test_the_ledger_is_append_only(path: Path) -> None:
     with Ledger(path) as ledger, ledger.reserve("motion", 5) as entry:
         entry.settle(4)
     connection = sqlite3.connect(path)
@@ -377,7 +375,7 @@ def test_the_budget_counts_motion_only_and_cannot_be_exceeded(path: Path) -> Non
         assert budget.remaining.ticks == 0
 
 
-def test_a_budget_below_what_is_spent_has_nothing_left(path: Path) -> None:
+def test_a_budget_below_the_spent_ticks_has_nothing_left(path: Path) -> None:
     with Ledger(path) as ledger:
         with ledger.reserve("motion", 50) as entry:
             entry.settle(50)

@@ -1,4 +1,4 @@
-"""A file that was damaged is an error that names it, or reads as before: never something else."""
+"""A damaged file is an error that names it, or reads as before."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.small_runs import EPOCH_MINUTES
 from tests.storage.test_episode_store import make_stored, record
 
 MUTATIONS = int(os.environ.get("IHER_ROBOT_MUTATIONS", "60"))
-"""Of each kind of file; ``make faults`` asks for 1,000."""
+"""Mutations of each kind of file; ``make faults`` runs 1,000."""
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
 
@@ -88,7 +88,7 @@ MUTATORS: tuple[Mutation, ...] = (
 
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory, whole_run: WholeRun) -> Path:
-    """What a run, and processes that were killed, leave behind."""
+    """Files of a finished run and of killed processes."""
     folder = tmp_path_factory.mktemp("left")
     shutil.copytree(whole_run(EPOCH_MINUTES), folder / "run")
     killed = folder / "killed"
@@ -110,7 +110,7 @@ def left(tmp_path_factory: pytest.TempPathFactory, whole_run: WholeRun) -> Path:
         total.tick("motion")
     RobotMemory(killed).reserve_ticks(7)
     copied = folder / "as-killed"
-    shutil.copytree(killed, copied)  # while they live: as it would be if they were killed now
+    shutil.copytree(killed, copied)  # while they run: the state in which a kill would leave it
     for each in (total, store, ledger):
         each.close()
     return folder
@@ -193,7 +193,7 @@ def test_a_damaged_file_is_named_or_reads_as_before(tmp_path: Path, left: Path, 
 
 
 def outcome(read: Callable[[], Any]) -> tuple[Any, str]:
-    """What was read, or the message of the error."""
+    """The content, or the message of the error."""
     try:
         return read(), ""
     except UserError as error:
@@ -218,7 +218,7 @@ def test_damaged_metrics_are_named_or_end_earlier(tmp_path: Path) -> None:
 
 
 def copy_of(source: Path, target: Path) -> Path:
-    """Copy a folder without what no reader here looks at."""
+    """Copy a folder without files that no test here reads."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target, ignore=shutil.ignore_patterns("tensorboard", "*.png"))
     return as_if_left_there(target)

@@ -1,4 +1,4 @@
-"""A result says where it came from, and never claims a commit that is not its own."""
+"""Provenance of a result, which never claims a foreign commit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_without_git_the_commit_is_unknown(package: Path, monkeypatch: pytest.Mo
     assert commit(package) == {"commit": "unknown", "dirty": None}
 
 
-def test_provenance_is_plain_and_names_versions_and_machine() -> None:
+def test_provenance_is_json_and_names_versions_and_machine() -> None:
     started = datetime(2025, 1, 31, 12, 0, tzinfo=UTC)
     found = collect_provenance(["iher-robot", "train"], 3, started)
     assert json.loads(json.dumps(found)) == found

@@ -1,4 +1,4 @@
-"""The run's folder is made once, and its metrics survive crashes and resuming."""
+"""A run's folder is created once, and its metrics survive crashes and resumptions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_an_empty_folder_may_be_used(tmp_path: Path) -> None:
     assert RunDirectory.open(tmp_path).config_path.read_text().startswith("seed: 3\n")
 
 
-def test_a_folder_that_holds_something_is_left_alone(run: RunDirectory) -> None:
+def test_a_folder_that_is_not_empty_is_refused(run: RunDirectory) -> None:
     with pytest.raises(UserError, match=r"not empty.*--resume .*one.*--out"):
         RunDirectory.create(run.path, "seed: 4\n")
     assert run.config_path.read_text().startswith("seed: 3\n")
@@ -76,14 +76,14 @@ def test_a_run_without_config_or_ledger_cannot_be_resumed(run: RunDirectory, mis
         RunDirectory.open(run.path)
 
 
-def test_a_run_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_run_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"no run folder at .*absent"):
         RunDirectory.open(tmp_path / "absent")
     with pytest.raises(UserError, match=r"no config\.yaml"):
         RunDirectory.open(tmp_path)
 
 
-def test_metrics_come_back_as_plain_numbers(run: RunDirectory) -> None:
+def test_metrics_are_read_back_as_plain_numbers(run: RunDirectory) -> None:
     run.append_metrics({"epoch": 1, "success": np.float32(0.5), "loss": torch.tensor(2.0)})
     run.append_metrics({"epoch": 2, "loss": math.nan, "error": math.inf, "steps": (1, 10)})
     assert run.read_metrics() == [
@@ -92,7 +92,7 @@ def test_metrics_come_back_as_plain_numbers(run: RunDirectory) -> None:
     ]
 
 
-def test_a_line_that_a_crash_cut_off_does_not_spoil_the_next(run: RunDirectory) -> None:
+def test_a_line_cut_off_by_a_crash_does_not_spoil_the_next(run: RunDirectory) -> None:
     run.append_metrics({"epoch": 1})
     with run.metrics_path.open("ab") as file:
         file.write(b'{"epoch": 2, "suc')

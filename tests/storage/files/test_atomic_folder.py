@@ -15,7 +15,7 @@ def names(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def test_a_folder_is_made_and_replaced(tmp_path: Path) -> None:
+def test_a_folder_is_created_and_replaced(tmp_path: Path) -> None:
     for number in ("1", "2"):
         with write_folder(tmp_path / "a" / "b") as new:
             (new / "inner").mkdir()
@@ -34,7 +34,7 @@ def write(folder: Path, name: str, error: BaseException | None = None) -> None:
 
 @pytest.mark.parametrize("there", [True, False])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "disk is full")])
-def test_what_fails_leaves_what_was_there(
+def test_a_failure_leaves_the_old_content(
     tmp_path: Path, there: bool, error: BaseException
 ) -> None:
     if there:
@@ -47,7 +47,7 @@ def test_what_fails_leaves_what_was_there(
     assert names(tmp_path) == before
 
 
-def test_a_folder_that_cannot_take_its_place_leaves_the_old_one(
+def test_a_folder_that_cannot_be_renamed_leaves_the_old_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path / "b", "kept")
