@@ -38,6 +38,7 @@ WITH_CONTACT = (
     "learner.schedule.workers=2",
     "learner.schedule.real_rollouts=1",
     "learner.contact.enabled=true",
+    "learner.contact.updates_per_step=0.2",
     "learner.matmul_precision=highest",
 )
 TASK = ("--task", "push", "--preset", "paper", "--device", "cpu", "--quiet")
