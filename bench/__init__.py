@@ -1,1 +1,1 @@
-"""How fast, how small and how exact the project is; each file measures one side of it."""
+"""Benchmarks: speed, memory, latency and accuracy; one file per measurement."""

@@ -1,13 +1,13 @@
-"""How long it takes to learn on a served robot, with and without a learner beside it.
+"""Benchmark of learning time on a served robot, with asynchronous and synchronous learning.
 
 python bench/asynchronous.py --task reach [--seeds 0 1 2] [--modes async sync] [--set KEY=VALUE]
     [--budget-minutes M] [--until-success 0.9] [--out bench/results/async.json]
 
-For each seed and each mode in turn: a host (iher-robot serve) in a process of its own on loopback,
-whose simulated robot moves in real time, and iher-robot train as its client. A task is solved
-where two evaluations in a row on the robot reach the rate of --until-success; the run ends there.
---out keeps what is in the file of other tasks, seeds and modes, so that parts can be run one by
-one; Push takes about 15 minutes a run. Resets, evaluation and learning are all in the wall clock.
+For each seed and mode in turn: a host process (iher-robot serve) on loopback, whose simulated robot
+moves in real time, and iher-robot train as its client. A task is solved when two evaluations in a
+row on the robot reach the rate of --until-success; the run ends there. --out keeps the file's
+entries of other tasks, seeds and modes, so that parts can be run separately; a run of Push takes
+about 15 minutes. Wall clock includes resets, evaluation and learning.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ COLUMNS = (
 
 
 def one_run(task: str, mode: str, seed: int, train_options: Sequence[str]) -> dict[str, float]:
-    """Train once; return what it took."""
+    """Train once and return the measurements."""
     with tempfile.TemporaryDirectory() as scratch, host(Path(scratch) / "memory") as (endpoint, _):
         out = Path(scratch) / "run"
         command = [sys.executable, "-m", "iher_robot", "train", "--driver", "zenoh"]
@@ -63,9 +63,9 @@ def one_run(task: str, mode: str, seed: int, train_options: Sequence[str]) -> di
 
 
 def read_run(out: Path) -> dict[str, float]:
-    """What a finished run took; solved is nan where it was not."""
+    """Measurements of a finished run; the time to a solution is nan without one."""
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-    solved = solved_row(rows, wanted_rate(out))
+    solved = solved_row(rows, target_rate(out))
     spent = read_accounts(out / "ledger.sqlite").spent
     with EpisodeReader(out / "episodes") as reader:
         motion = [stored for stored in reader if stored.account == "motion"]
@@ -84,22 +84,22 @@ def read_run(out: Path) -> dict[str, float]:
     }
 
 
-def wanted_rate(out: Path) -> float:
+def target_rate(out: Path) -> float:
     lines = (out / "config.yaml").read_text().splitlines()
     return float(next(line for line in lines if line.startswith("until_success")).split()[1])
 
 
 def solved_row(rows: Sequence[dict[str, float]], rate: float) -> dict[str, float]:
     """The second of the first two evaluations in a row that reached a rate; empty without them."""
-    judged = [row for row in rows if "success" in row]
-    for before, after in itertools.pairwise(judged):
+    evaluated = [row for row in rows if "success" in row]
+    for before, after in itertools.pairwise(evaluated):
         if min(before["success"], after["success"]) >= rate:
             return after
     return {}
 
 
 def table(runs: Sequence[dict[str, Any]], modes: Sequence[str]) -> str:
-    """Medians over seeds, with the least and the greatest."""
+    """Medians over seeds, with minimum and maximum."""
     lines = [f"{'':26s}" + "".join(f"{mode:>30s}" for mode in modes)]
     for name in COLUMNS:
         line = f"{name:26s}"
@@ -115,7 +115,7 @@ def table(runs: Sequence[dict[str, Any]], modes: Sequence[str]) -> str:
 
 
 def main() -> None:
-    """Run each seed in each mode, and print medians."""
+    """Run each seed in each mode and print medians."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -148,7 +148,7 @@ def main() -> None:
 
 
 def keep(path: Path, run: dict[str, Any]) -> None:
-    """Put a run in the place of one of the same task, seed and mode."""
+    """Replace the run of the same task, seed and mode in a file."""
     kept = json.loads(path.read_text())["runs"] if path.exists() else []
     key = ("task", "mode", "seed")
     kept = [other for other in kept if [other[k] for k in key] != [run[k] for k in key]]

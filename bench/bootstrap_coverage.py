@@ -1,9 +1,9 @@
-"""How often a report's 95 % intervals hold the true value, by the number of seeds.
+"""Coverage of a report's 95 % bootstrap intervals, by the number of seeds.
 
     python bench/bootstrap_coverage.py --out bench/results/bootstrap-coverage.json
 
 Scores are drawn from a normal distribution, whose interquartile mean is its mean. Prints the
-share of experiments whose interval holds it.
+share of experiments whose interval contains it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SEEDS = (2, 3, 5, 10, 20)
 
 
 def coverage(seeds: int, rng: np.random.Generator) -> float:
-    """Share of experiments with so many seeds whose interval holds the true value."""
+    """Share of experiments whose interval contains the true value, for a number of seeds."""
     held = 0
     for scores in rng.normal(size=(EXPERIMENTS, seeds)):
         found = estimate(scores.tolist(), kind="iqm")

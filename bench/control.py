@@ -1,4 +1,4 @@
-"""How well a simulated robot does what it is told: tracking, limits, and policies by hand.
+"""Benchmark of the control of a simulated robot: tracking error, limits, scripted policies.
 
 python bench/control.py [--robot fetch] [--episodes 100] [--out bench/results/NAME.json]
 """

@@ -1,7 +1,7 @@
-"""What keeping every tick costs: ticks of a simulated robot in memory, and kept on disk.
+"""Cost of storing every tick: ticks of a simulated robot in memory, and stored on disk.
 
-Three ways take turns in one process: in memory alone (as an evaluation in a simulator), kept as a
-run in simulation keeps them, and kept as on a robot, where each tick waits for the disk.
+Three modes take turns in one process: in memory (as an evaluation in simulation), stored as by a
+run in simulation, and stored as on a robot, where each tick waits for the disk.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from iher_robot.storage.provenance import commit, machine, versions
 from tests.random_actor import RandomActor
 
 TICKS = 50
-WAYS = ("memory", "kept", "kept durably")
+MODES = ("memory", "kept", "kept durably")
 
 
-class Keeping:
-    """A folder that keeps episodes as a run does."""
+class RunStorage:
+    """A folder that stores episodes as a run does."""
 
     def __init__(self, folder: Path, env: GoalRobotEnv, durable: bool, stack: ExitStack) -> None:
         folder.mkdir()
@@ -54,24 +54,24 @@ class Keeping:
 
 
 class Stopwatch(EpisodeObserver):
-    """Measures each tick beside those of the environment's step. Last of the observers."""
+    """Measures the time of each tick without the environment's step. Last of the observers."""
 
     def __init__(self, env: TimedEnv) -> None:
         self._env = env
-        self._turned = 0.0
+        self._tick_start = 0.0
         self.times_ms: list[float] = []
 
     def start(self, start: EpisodeStart) -> None:  # noqa: ARG002
-        self._turned = time.perf_counter()
+        self._tick_start = time.perf_counter()
 
     def after_tick(self, transition: Transition) -> None:  # noqa: ARG002
         now = time.perf_counter()
-        self.times_ms.append(1e3 * (now - self._turned - self._env.seconds))
-        self._turned = now
+        self.times_ms.append(1e3 * (now - self._tick_start - self._env.seconds))
+        self._tick_start = now
 
 
 class TimedEnv:
-    """An environment that measures its step."""
+    """An environment that measures its steps."""
 
     def __init__(self, env: GoalRobotEnv) -> None:
         self._env = env
@@ -87,7 +87,7 @@ class TimedEnv:
 
 
 def ticks_of(env: GoalRobotEnv, recorder: Recorder, seed: int) -> list[float]:
-    """Milliseconds of each tick beside those of the environment's step."""
+    """Milliseconds of each tick without the environment's step."""
     timed = TimedEnv(env)
     watch = Stopwatch(timed)
     run_episode(timed, RandomActor(seed), recorder, seed=seed, ticks=TICKS, observers=[watch])
@@ -95,47 +95,50 @@ def ticks_of(env: GoalRobotEnv, recorder: Recorder, seed: int) -> list[float]:
 
 
 def measure(folder: Path, rounds: int, episodes: int) -> dict[str, Any]:
-    ticks: dict[str, list[float]] = {way: [] for way in WAYS}
-    rates: dict[str, list[float]] = {way: [] for way in WAYS}
+    ticks: dict[str, list[float]] = {mode: [] for mode in MODES}
+    rates: dict[str, list[float]] = {mode: [] for mode in MODES}
     with ExitStack() as stack:
         env = stack.enter_context(make_env("push", actuation="mocap"))
-        kept = {way: Keeping(folder / way, env, way == "kept durably", stack) for way in WAYS[1:]}
+        kept = {
+            mode: RunStorage(folder / mode, env, mode == "kept durably", stack)
+            for mode in MODES[1:]
+        }
         for round_number in range(rounds):
-            for way in WAYS:
+            for mode in MODES:
                 begun = time.perf_counter()
                 for index in range(episodes):
                     seed = 1000 * round_number + index
-                    if way == "memory":
-                        ticks[way] += ticks_of(env, Recorder(), seed)
+                    if mode == "memory":
+                        ticks[mode] += ticks_of(env, Recorder(), seed)
                         continue
-                    with kept[way].recorder(seed) as recorder:
-                        ticks[way] += ticks_of(env, recorder, seed)
-                rates[way].append(episodes * TICKS / (time.perf_counter() - begun))
+                    with kept[mode].recorder(seed) as recorder:
+                        ticks[mode] += ticks_of(env, recorder, seed)
+                rates[mode].append(episodes * TICKS / (time.perf_counter() - begun))
     return {
-        way: {
-            "ticks_per_second": round(statistics.median(rates[way]), 1),
+        mode: {
+            "ticks_per_second": round(statistics.median(rates[mode]), 1),
             "beside_the_step_ms": {
-                f"p{share}": round(float(np.percentile(ticks[way], share)), 4)
+                f"p{share}": round(float(np.percentile(ticks[mode], share)), 4)
                 for share in (50, 99, 100)
             },
         }
-        for way in WAYS
+        for mode in MODES
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--episodes", type=int, default=20, help="of 50 ticks, each way and round")
+    parser.add_argument("--episodes", type=int, default=20, help="of 50 ticks, per mode and round")
     parser.add_argument("--folder", type=Path, help="on the disk to measure")
     parser.add_argument("--out", type=Path, default=Path("bench/results/journal.json"))
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         measured = measure(Path(folder), options.rounds, options.episodes)
-    for way, figures in measured.items():
+    for mode, figures in measured.items():
         print(
-            f"{way:14} {figures['ticks_per_second']:8.1f} ticks/s, "
-            f"beside the step, ms: {figures['beside_the_step_ms']}"
+            f"{mode:14} {figures['ticks_per_second']:8.1f} ticks/s, "
+            f"without the step, ms: {figures['beside_the_step_ms']}"
         )
     result = {
         "command": ["python", *sys.argv],

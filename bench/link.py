@@ -1,11 +1,10 @@
-"""How fast a served robot is answered, and how even its ticks are, alone and beside training.
+"""Latency of commands to a served robot and jitter of its ticks, alone and during training.
 
 python bench/link.py [--rounds 3] [--seconds 64] [--out bench/results/NAME.json]
 
-A host (iher-robot serve) on loopback, and a client that answers each state with the smallest
-command there is: stay where the motors are told to be. The host measures the way there and back
-on its own clock: from the moment before a state is packed to the one in which the control loop
-has checked the command that answers it. Beside it, in each other round, iher-robot train runs.
+A host (iher-robot serve) on loopback, and a client that answers each state with the command to
+hold the present setpoint. The host measures the round trip on its own clock, from packing a state
+to the check of the command that answers it. In every second round iher-robot train runs too.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ TARGETS_MS = {"state to command ms, p50": 1.5, "state to command ms, p99": 5.0}
 
 @contextmanager
 def training(folder: Path) -> Iterator[int]:
-    """Let a learner compute; yield its process once it has begun to."""
+    """Run a learner; yield its process once it computes."""
     run = folder / "run"
     options = ("--driver", "mujoco", "--task", "push", "--out", str(run), "--quiet")
     with program("train", *options, "--until-success", "off") as process:
@@ -55,7 +54,7 @@ def training(folder: Path) -> Iterator[int]:
 
 
 def busy_s(pid: int) -> float:
-    """Seconds that a process has computed for."""
+    """CPU seconds of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -67,7 +66,7 @@ def real_time(watchdog: int) -> bool:
 
 
 def answer_states(driver: ZenohDriver, ticks: int) -> dict[str, float]:
-    """Answer each state for some ticks; count what went wrong meanwhile."""
+    """Answer each state for a number of ticks; count the problems."""
     driver.arm()
     disarmed, begun = 0, driver.measure().seq
     for _ in range(ticks):
@@ -79,12 +78,16 @@ def answer_states(driver: ZenohDriver, ticks: int) -> dict[str, float]:
         except StaleState:
             driver.advance()
             continue
-        at = state.setpoint
-        assert at is not None
-        stay = JointCommand(
-            state.seq, at.q, np.zeros_like(at.q), driver.spec.control_period_s, at.fingers
+        setpoint = state.setpoint
+        assert setpoint is not None
+        hold = JointCommand(
+            state.seq,
+            setpoint.q,
+            np.zeros_like(setpoint.q),
+            driver.spec.control_period_s,
+            setpoint.fingers,
         )
-        driver.command(stay)
+        driver.command(hold)
         driver.advance()
     seen = driver.measure().seq - begun
     return {"ticks": seen, "ticks not seen": seen - ticks, "disarmed by the deadman": disarmed}
@@ -96,7 +99,7 @@ def status(options: LinkOptions) -> dict[str, Any]:
 
 
 def measure(options: LinkOptions, seconds: float) -> dict[str, float]:
-    """One round with a host just started: nothing else is in its windows."""
+    """One round with a new host, whose statistics cover this round alone."""
     with ZenohDriver(options, "push") as driver:
         ticks = round(seconds / driver.spec.control_period_s)
         driver.reset(ResetRequest())
@@ -140,7 +143,7 @@ def one_round(seconds: float, beside_training: bool) -> dict[str, float]:
 
 
 def table(found: dict[str, dict[str, list[float]]]) -> str:
-    """Medians over rounds, with the least and the greatest."""
+    """Medians over rounds, with minimum and maximum."""
     names = list(found["beside training"])
     lines = [f"{'':30s}" + "".join(f"{where:>32s}" for where in found)]
     for name in names:
@@ -159,7 +162,7 @@ def table(found: dict[str, dict[str, list[float]]]) -> str:
 
 
 def main() -> None:
-    """Measure in rounds, alone and beside training in turn, and print medians."""
+    """Measure in rounds, alone and during training in turn, and print medians."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,19 +1,19 @@
-"""How much memory the learner of Push takes, full and over many epochs.
+"""Benchmark of the memory of Push's learner, with full replays and over many epochs.
 
 python bench/memory.py [--only NAME ...] [--out bench/results/memory.json]
 
-Each measurement has a process of its own, so that a peak is its own:
+Each measurement runs in its own process, so that peaks do not mix:
 
 full      preset paper: a million real and a million imagined transitions
-restored  the same run continued: the real ones from episodes that are held in memory
-streamed  the same, each episode made when it is asked for
+restored  the same run resumed: real transitions from episodes in memory
+streamed  the same, with episodes generated on demand
 soak      preset paper in short epochs: five million transitions imagined once the replays are full
 short     preset default: 200 epochs of four episodes
-rows      a model of the ensemble, given 300 numbers of rows: in blocks, and all rows at once
+rows      a model of the ensemble with 300 different row counts: in blocks, and all rows at once
 
-Numbers of gradient steps are cut down, which no number here depends on; sizes of networks,
-batches and rollouts are the preset's. The real episodes are 64 of random actions in simulation,
-each many times with noise of 1 mm. Memory is what Linux counts as resident, in 10^6 bytes.
+Numbers of gradient steps are reduced, which does not affect memory; sizes of networks, batches and
+rollouts are the preset's. The real episodes are 64 of random actions in simulation, repeated with
+noise of 1 mm. Memory is Linux' resident set size, in 10^6 bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
@@ -62,7 +62,7 @@ FEW_STEPS = (
 
 
 def memory() -> dict[str, float]:
-    """Resident memory of this process now, and the most so far, MB."""
+    """Resident memory of this process now, and its peak, MB."""
     lines = Path("/proc/self/status").read_text().splitlines()
     fields = dict(line.split(":", 1) for line in lines)
     return {
@@ -94,7 +94,7 @@ def record(env: GoalRobotEnv) -> list[Episode]:
 
 
 def variations(recorded: Sequence[Episode], count: int, seed: int) -> Iterator[Episode]:
-    """So many episodes, none twice the same, each with arrays of its own as if read from a file."""
+    """A number of different episodes, each with its own arrays as if read from a file."""
     rng = np.random.default_rng(seed)
     for index in range(count):
         like = recorded[index % len(recorded)]
@@ -117,7 +117,7 @@ def training_setup(preset: str, *overrides: str) -> AbstractContextManager[Train
 
 
 def full() -> dict[str, Any]:
-    """Both replays filled as a run fills them."""
+    """Fill both replays as a run does."""
     stages = Stages()
     with training_setup("paper", *FEW_STEPS) as cell:
         learner = cell.learner
@@ -141,7 +141,7 @@ def full() -> dict[str, Any]:
 
 
 def state_of_full(learner: Learner, recorded: Sequence[Episode]) -> dict[str, Any]:
-    """State of a run that is full, from one that has just begun."""
+    """State of a run with full replays, from a new run."""
     learner.add_real(list(variations(recorded, 256, 0)))
     learner.learn()
     state = learner.state_dict()
@@ -151,7 +151,7 @@ def state_of_full(learner: Learner, recorded: Sequence[Episode]) -> dict[str, An
 
 
 def restored(*, streamed: bool = False) -> dict[str, Any]:
-    """A run that goes on, and its first epoch, in which the imaginary source is refilled."""
+    """Resume a run, and run its first epoch, which refills the imaginary source."""
     stages = Stages()
     with training_setup("paper", *FEW_STEPS) as cell:
         learner = cell.learner
@@ -167,7 +167,7 @@ def restored(*, streamed: bool = False) -> dict[str, Any]:
         stages.add(f"{learner.real.replay.num_transitions:,} real restored")
         del by_epoch
         gc.collect()
-        stages.add("episodes let go")
+        stages.add("episodes released")
         learner.add_real(list(variations(recorded, 256, 1_000)))
         learner.learn()
         stages.add("the next epoch")
@@ -179,7 +179,7 @@ def streamed() -> dict[str, Any]:
 
 
 def with_holes(episodes: Sequence[Episode], rng: np.random.Generator) -> list[Episode]:
-    """The same with a few ticks that are not valid, so that numbers of rows vary."""
+    """Mark a few ticks invalid, so that row counts vary."""
     for episode in episodes:
         episode.valid[rng.random(len(episode)) < 0.01] = False
     return list(episodes)
@@ -209,7 +209,7 @@ def soak() -> dict[str, Any]:
             learner.learn()
             diagnose(learner, unseen)
             learner.state_dict()
-            if refilled == SOAK_CAPACITY:  # full: from here on nothing has a reason to grow
+            if refilled == SOAK_CAPACITY:  # full: memory should not grow from here on
                 imagined += refilled + learner.imagined.collected - before
                 points.append((imagined / 1e6, memory()["now"]))
     return growth(points, "million imagined transitions")
@@ -218,7 +218,7 @@ def soak() -> dict[str, Any]:
 def short() -> dict[str, Any]:
     """Epochs of four episodes with all that the preset has, but fewer updates.
 
-    The replay is far from full, so that the episodes themselves, about 40 kB an epoch, are growth.
+    The replay is far from full: the episodes themselves add about 40 kB per epoch.
     """
     overrides = ("learner.schedule.updates_per_step=0.2", "learner.contact.updates_per_step=0.2")
     with training_setup("default", *overrides) as cell:
@@ -235,7 +235,7 @@ def short() -> dict[str, Any]:
 
 
 def rows() -> dict[str, Any]:
-    """What is compiled for numbers of rows that differ, and kept."""
+    """Memory of what is compiled and cached per row count."""
     stages = Stages()
     with training_setup("paper") as cell, torch.no_grad():
         model = cell.learner.ensemble.members[0]
@@ -287,7 +287,7 @@ def show(found: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure one after another."""
+    """Run the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

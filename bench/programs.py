@@ -1,4 +1,4 @@
-"""Programs of the project that a measurement starts, and that end with it."""
+"""Child processes of benchmarks: iher-robot commands that end with the benchmark."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def free_port() -> int:
 
 @contextmanager
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run iher-robot in a process of its own, and end it as a Ctrl-C does."""
+    """Run an iher-robot command as a child process; SIGTERM ends it in order."""
     command = [sys.executable, "-m", "iher_robot", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
@@ -31,7 +31,7 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 @contextmanager
 def host(memory: Path) -> Iterator[tuple[str, int]]:
-    """Serve a simulated robot; yield where, and the host's process."""
+    """Serve a simulated robot; yield its endpoint and the host's process."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with program("serve", "--listen", endpoint, "--memory", str(memory)) as process:
         assert process.stdout is not None

@@ -48,13 +48,15 @@ if TYPE_CHECKING:
         SimulatedClock,
         make_driver,
     )
-    from iher_robot.config.run import RunConfig, load_config, read_config
+    from iher_robot.config.options import load_config
+    from iher_robot.config.run import RunConfig, read_config
     from iher_robot.deployment.deploy import DeployResult, deploy
     from iher_robot.env.goal_env import GoalRobotEnv, make_env
     from iher_robot.evaluation.evaluate import EvaluationResult, evaluate
     from iher_robot.experiments.experiment import ExperimentResult, experiment
     from iher_robot.experiments.report.report import ReportResult, report
-    from iher_robot.training.train import TrainResult, resume, train
+    from iher_robot.training.result import TrainResult
+    from iher_robot.training.train import resume, train
     from tasks import TASKS, GoalModel, GoalTask, TaskError, make_task
 
 __all__ = [
@@ -141,13 +143,15 @@ _NAMES = {
         "SimulatedClock",
         "make_driver",
     ),
-    "iher_robot.config.run": ("RunConfig", "load_config", "read_config"),
+    "iher_robot.config.options": ("load_config",),
+    "iher_robot.config.run": ("RunConfig", "read_config"),
     "iher_robot.deployment.deploy": ("DeployResult", "deploy"),
     "iher_robot.env.goal_env": ("GoalRobotEnv", "make_env"),
     "iher_robot.evaluation.evaluate": ("EvaluationResult", "evaluate"),
     "iher_robot.experiments.experiment": ("ExperimentResult", "experiment"),
     "iher_robot.experiments.report.report": ("ReportResult", "report"),
-    "iher_robot.training.train": ("TrainResult", "resume", "train"),
+    "iher_robot.training.result": ("TrainResult",),
+    "iher_robot.training.train": ("resume", "train"),
     "tasks": ("TASKS", "GoalModel", "GoalTask", "TaskError", "make_task"),
 }
 # Module of each name that is imported when it is first used: these need numpy, which takes a tenth

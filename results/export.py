@@ -1,4 +1,4 @@
-"""Keep the small part of runs that is worth committing: curves, a plot, where they are from.
+"""Export the small part of runs to commit: curves, a plot, provenance.
 
 python results/export.py runs/RUN... --name NAME [--official 100]
 
@@ -23,7 +23,7 @@ from iher_robot.storage.run_directory import RunDirectory
 
 
 def read_run(path: Path) -> dict[str, Any]:
-    """Everything of a run that is kept."""
+    """Provenance, settings and metrics of a run."""
     run = RunDirectory.open(path)
     rows = run.read_metrics()
     provenance = read_provenance(run.provenance_path)

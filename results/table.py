@@ -2,8 +2,8 @@
 
 python results/table.py results/NAME...
 
-Minutes are those of the first evaluation that reached the rate, for each seed, in their order; a
-seed that never did counts as later than all others in the median.
+Minutes are those of the first evaluation that reached the rate, for each seed in order; a seed that
+never did sorts last in the median.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from iher_robot.evaluation.plot import success_points
 
 
 def minutes_to(rate: float, run: dict[str, Any]) -> float:
-    """Robot minutes of the first evaluation with that success rate; infinite if there is none."""
+    """Robot minutes of the first evaluation at a success rate; infinite without one."""
     points = success_points(run["epochs"])
     return next((minutes for minutes, success in points if success >= rate), math.inf)
 
 
 def shown(minutes: float) -> str:
-    """Two digits that count."""
+    """Robot minutes as text, with one or two decimals."""
     return "never" if math.isinf(minutes) else f"{minutes:.{1 if minutes >= 1.0 else 2}f}"
 
 
 def cell(values: list[float]) -> str:
-    """Median, and each seed's."""
+    """Median, and the value of each seed."""
     return f"**{shown(statistics.median(values))}** ({', '.join(map(shown, values))})"
 
 

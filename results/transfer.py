@@ -1,4 +1,4 @@
-"""Measure policies on robots that they were not trained on, and keep the rates.
+"""Evaluate policies on robots that they were not trained on, and save the rates.
 
 python results/transfer.py POLICY... --robots fetch fetch-mocap --episodes 100 --out results/transfer/NAME.json
 """

@@ -1,4 +1,4 @@
-"""Copies of folders that read as the originals do: notes of locks count, too."""
+"""Copies of folders that behave like the originals, with valid notes in their locks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from iher_robot.storage.files.checksum import dump_checked
 
 
 def as_if_left_there(copy: Path) -> Path:
-    """Let the notes in the locks of a copy be its own; those of a copy count for nothing.
+    """Rewrite the notes in the locks of a copy, which name the inodes of the original.
 
     Args:
-        copy: A copy of a folder, whose notes are whole.
+        copy: A copy of a folder, with complete notes.
     """
     for lock in copy.rglob("*.lock"):
         if text := lock.read_text().strip("\0 \n"):

@@ -9,7 +9,7 @@ from iher_robot.learning.goal_model import REAL
 
 
 class RandomActor:
-    """Draws every action from [-1, 1], whatever it observes; its seed decides all episodes."""
+    """Draws every action from [-1, 1]; one seed for all episodes."""
 
     def __init__(self, seed: int, action_dim: int = 4) -> None:
         self._rng = np.random.default_rng(seed)
@@ -17,7 +17,7 @@ class RandomActor:
         self.policy_source = REAL
 
     def begin(self, seed: int) -> None:
-        """Go on with the same draws."""
+        """Continue the same sequence of draws."""
 
     def act(self, observation: object) -> NDArray[np.float32]:
         """Draw an action. ``(action_dim,)``"""

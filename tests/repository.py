@@ -1,4 +1,4 @@
-"""Where the checkout lies that the tests run in."""
+"""Path of the repository under test."""
 
 from __future__ import annotations
 

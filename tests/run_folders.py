@@ -1,4 +1,4 @@
-"""Folders of runs, made without training."""
+"""Folders of runs, created without training."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from iher_robot.config.options import load_config
 from iher_robot.config.robot import choose_robot
-from iher_robot.config.run import dump_config, load_config
+from iher_robot.config.run import dump_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.episode import Episode
 from iher_robot.storage.accounts import Account
@@ -37,7 +38,7 @@ def make_stored(
     ended: str = DONE,
     success: bool = False,
 ) -> StoredEpisode:
-    """An episode of random numbers, which achieves its goal at the end or never."""
+    """An episode of random numbers, which reaches its goal at the end or never."""
     rng = np.random.default_rng(seed)
     made, length = make_task(task), len(valid)
     observations = rng.normal(size=(length + 1, made.layout.obs_dim))
@@ -93,7 +94,7 @@ def make_run(
     robot: str = "fetch-mocap",
     **settings: Any,
 ) -> list[StoredEpisode]:
-    """Make the folder of a run that holds these episodes; return them as they are stored."""
+    """Create the folder of a run with episodes; return them as stored."""
     config = load_config(task, robot=robot, **settings)
     directory = RunDirectory.create(path, dump_config(config))
     keep_interface(directory.episodes_path, interface(task, robot))
@@ -111,5 +112,5 @@ def make_run(
 
 @functools.cache
 def interface(task: str, robot: str) -> dict[str, Any]:
-    """What a policy would have to fit, of a robot in simulation."""
+    """Policy interface of a simulated robot."""
     return choose_robot("mujoco", robot).make_env(task).policy_interface()  # it is never opened

@@ -1,4 +1,4 @@
-"""Policies written by hand, as fixtures: what they cannot do, a learner need not try."""
+"""Scripted policies, which show that the tasks can be solved."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from iher_robot.env.goal_env import GoalRobotEnv
 Array = NDArray[np.float64]
 Policy = Callable[[Array, Array], Array]
 
-_GAIN = 12.0  # action for each metre to go
+_GAIN = 12.0  # action per metre of distance
 _ABOVE_M = 0.07
 
 
 class Push:
-    """Goes round the object, down behind it, and pushes it to the goal."""
+    """Moves around the object, down behind it, and pushes it to the goal."""
 
     def __call__(self, obs: Array, goal: Array) -> Array:
         gripper, block = obs[:3], obs[3:6]
@@ -48,7 +48,7 @@ class Push:
 
 
 class PickAndPlace:
-    """Opens above the object, goes down, closes, and carries it to the goal."""
+    """Opens above the object, moves down, closes, and carries it to the goal."""
 
     def __init__(self) -> None:
         self._down = False
@@ -61,13 +61,13 @@ class PickAndPlace:
         if self._held:
             return np.append(_GAIN * (goal - block), -1.0)
         near = float(np.linalg.norm((block - gripper)[:2])) < 0.01
-        self._down |= near and finger > 0.034  # not before it is open: the real one is slow
+        self._down |= near and finger > 0.034  # not before it is open: the gripper is slow
         target = block + np.array([0.0, 0.0, -0.003 if self._down else 0.06])
         off = np.abs(block - gripper)
         if self._down and off[2] < 0.012 and np.linalg.norm(off[:2]) < 0.012:
             self._closing += 1
         self._gripped += self._closing > 3 and finger < 0.026
-        self._held = self._gripped > 3  # by then the fingers press
+        self._held = self._gripped > 3  # enough ticks for the fingers to press
         return np.append(_GAIN * (target - gripper), -1.0 if self._closing else 1.0)
 
 

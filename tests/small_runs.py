@@ -1,4 +1,4 @@
-"""Training runs of seconds, and what they leave."""
+"""Training runs that take seconds, and their results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.training import setup as setup_module
 from iher_robot.training import train as train_module
-from iher_robot.training.train import TrainResult, train
+from iher_robot.training.result import TrainResult
+from iher_robot.training.train import train
 
 TINY_LEARNER = (
     "learner.schedule.cycles=2",
@@ -31,7 +32,7 @@ TINY = (
     "evaluation.final_episodes=2",
 )
 EPOCH_MINUTES = 0.0667  # a little more than the 100 ticks of an epoch of two episodes
-TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and what follows from them
+TIMINGS = {"wall_seconds", "updates_per_second", "sha256"}  # and values derived from them
 
 
 def run(out: Path, minutes: float, *overrides: str, **options: Any) -> TrainResult:
@@ -67,7 +68,7 @@ class Interruption(KeyboardInterrupt):
 
 @contextmanager
 def interruption(owner: type, name: str, call: int) -> Iterator[None]:
-    """Cut off the given call of a method by a Ctrl-C, which must come through."""
+    """Raise an interrupt at the given call of a method; it must propagate."""
     original: Callable[..., Any] = getattr(owner, name)
     calls = 0
 
@@ -85,12 +86,12 @@ def interruption(owner: type, name: str, call: int) -> Iterator[None]:
 
 
 def leave_out_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let runs have their robot and no other to be evaluated on, as with a physical one."""
+    """Give runs no simulator for evaluation, as with a physical robot."""
     original = setup_module.open_training_setup
 
     @contextmanager
     def without_simulator(config: Any) -> Iterator[Any]:
-        with original(config) as cell:
-            yield dataclasses.replace(cell, simulator=None)
+        with original(config) as setup:
+            yield dataclasses.replace(setup, simulator=None)
 
     monkeypatch.setattr(train_module, "open_training_setup", without_simulator)

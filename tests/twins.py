@@ -1,4 +1,4 @@
-"""Two simulators, of which the second does the image of what the first does."""
+"""Two simulators, of which the second runs the mirrored or shifted motion of the first."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tasks.tabletop import OBJECT
 Array = NDArray[np.float64]
 
 SETTLE_TICKS = 15
-"""Ticks in which the second gripper moves to where a shift puts it."""
+"""Ticks in which the second gripper moves by the shift."""
 
 
 def simulation(env: GoalRobotEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Model of a simulator and an exact copy of its state."""
+    """Model and state of a simulator, to look at."""
     assert isinstance(env.driver, MujocoDriver)
-    return env.driver._model, env.driver.snapshot()
+    return env.driver._model, env.driver._data
 
 
 def object_state(env: GoalRobotEnv) -> tuple[Array, Array]:
-    """Pose and velocity of the object, as its free joint has them. ``(7,)``, ``(6,)``"""
+    """Pose and velocity of the object's free joint. ``(7,)``, ``(6,)``"""
     model, data = simulation(env)
     joint = model.joint(f"{OBJECT}:joint")
     place, speed = joint.qposadr[0], joint.dofadr[0]
@@ -36,26 +36,24 @@ def object_state(env: GoalRobotEnv) -> tuple[Array, Array]:
 
 def put_object(env: GoalRobotEnv, pose: Array, velocity: Array) -> Array:
     """Set pose and velocity of the object; the robot stays. Returns the observation."""
-    model, data = simulation(env)
+    assert isinstance(env.driver, MujocoDriver)
+    model, data = env.driver._model, env.driver.snapshot()
     joint = model.joint(f"{OBJECT}:joint")
     place, speed = joint.qposadr[0], joint.dofadr[0]
     data.qpos[place : place + 7], data.qvel[speed : speed + 6] = pose, velocity
     mujoco.mj_forward(model, data)
-    assert isinstance(env.driver, MujocoDriver)
     env.driver.restore(data)
     env._state = env.driver.read()
     return np.asarray(env.task.observation(env._state))
 
 
 def touched(env: GoalRobotEnv) -> bool:
-    """Whether some part of the robot touches the object."""
+    """Whether a part of the robot touches the object."""
     model, data = simulation(env)
     thing, robot = model.body(OBJECT).id, model.body("robot0:gripper_link").rootid[0]
-    for contact in data.contact[: data.ncon]:
-        bodies = model.geom_bodyid[list(contact.geom)]
-        if thing in bodies and robot in model.body_rootid[bodies]:
-            return True
-    return False
+    bodies = model.geom_bodyid[data.contact.geom]  # (contacts, 2)
+    of_thing, of_robot = bodies == thing, model.body_rootid[bodies] == robot
+    return bool((of_thing.any(-1) & of_robot.any(-1)).any())
 
 
 class Twins:
@@ -63,7 +61,7 @@ class Twins:
 
     Attributes:
         map: The map from the first to the second, one row.
-        errors: What the second observes less the image of what the first does. ``(obs_dim,)``
+        errors: Observation of the second minus the image of the first one's. ``(obs_dim,)``
     """
 
     def __init__(self, first: GoalRobotEnv, second: GoalRobotEnv) -> None:
@@ -74,12 +72,12 @@ class Twins:
         self.home = np.array(first.task.home)
 
     def start(self, place: Array, sign: Array, shift: Array, *, diagonal: bool = False) -> Array:
-        """Start with the object somewhere, the second gripper where the image is.
+        """Start with the object at a position, and the second gripper at the image.
 
         Args:
-            place: Of the object, from home in the plane, m. ``(2,)``
-            sign: 1 or -1 an axis, mirrored about home. ``(3,)``
-            shift: Then added, m. ``(3,)``
+            place: Position of the object relative to home in the plane, m. ``(2,)``
+            sign: 1 or -1 per axis, mirrored about home. ``(3,)``
+            shift: Added afterwards, m. ``(3,)``
             diagonal: Whether x and y are exchanged before.
 
         Returns:
@@ -103,7 +101,7 @@ class Twins:
         return self.match_object()
 
     def _moved_apart(self, shift: Array) -> Array:
-        """Move the second gripper; returns by how much it is away, m."""
+        """Move the second gripper; returns its offset, m."""
         still = np.zeros(4, np.float32)
         one = self.first.step(still)[0]["observation"]
         other = self.second.step(still)[0]["observation"]
@@ -136,7 +134,7 @@ class Twins:
 
         Args:
             action: The first one's. ``(4,)``
-            steer: Whether the second gripper is steered back to where the image is.
+            steer: Whether the second gripper is steered back to the image.
         """
         image = self.map.action(action[None])[0]
         if steer:
@@ -150,7 +148,7 @@ class Twins:
 
     @property
     def within(self) -> bool:
-        """Whether both are within the area for which the symmetry speaks."""
+        """Whether both are within the area where the symmetry holds."""
         for env in (self.first, self.second):
             assert env._state is not None
             observation = env.task.observation(env._state)[None]

@@ -1,1 +1,1 @@
-"""How fast the parts of a training run are, each in turn with its rivals: `make bench`."""
+"""Speed benchmark of the parts of a training run against other libraries: `make bench`."""

@@ -1,24 +1,23 @@
-"""How fast the parts of a training run are on this machine, each in turn with its rivals.
+"""Speed benchmark of the parts of a training run on this machine, against other libraries.
 
 python -m bench.speed [--rounds 5] [--threads 1] [--device cpu] [--only TOPIC ...] [--out FILE]
 
-updates      gradient updates against Stable-Baselines3 and sbx, and with more and more stored
-imagination  imagined transitions, and a million of them anew, intrinsic rewards included
+updates      gradient updates against Stable-Baselines3 and sbx, and with a growing replay
+imagination  imagined transitions, and a refill of a million, with intrinsic rewards
 dynamics     training steps of the ensemble of models
 simulation   control ticks against gymnasium-robotics, and inverse kinematics
 memory       resident memory with full replays
-reach        the whole time to a solved Reach
+reach        the total time to a solved Reach
 
-In each round each contender is measured once, forwards and backwards in turn. ``products alone`` is
-what the matrix products of a unit of work would need at the rate at which this machine was
-measured, in the same round, to make the largest of them, and ``takes`` how many times as long it
-took. In the file, beside provenance, settings and the machine's load before, ``figures`` has
-a row for each contender:
+In each round each contender is measured once, in alternating order. ``products alone`` is the time
+of the matrix products of a unit of work at the rate measured on this machine in the same round for
+the largest of them; ``takes`` is the measured time as a multiple of it. In the file, with
+provenance, settings and the machine's load before, ``figures`` has a row for each contender:
 
 topic, work, precision, who, unit, note   what was measured
 median, min, max, all                     over rounds; null and [] where a contender is absent
-ours_is                                   how many times better ours is, for the others
-products_s, times_products                seconds of the products alone, and how many times that
+ours_is                                   factor by which ours is better, for the others
+products_s, times_products                seconds of the products alone, and the multiple of it
 target, target_met                        for ours, where it has one; null without a figure
 
 Without --out the file is bench/results/speed-DEVICE.json, or none where only a part was measured.
@@ -54,20 +53,20 @@ TOPICS = {
     "memory": memory.comparisons,
     "reach": reach.comparisons,
 }
-WIDTH = 220  # room for every row where lines need not fit a screen
+WIDTH = 220  # wide enough for every row
 
 
 def measure(topic: str, settings: Settings) -> list[dict[str, Any]]:
-    """Rows of one topic; tells on standard error how far it is."""
+    """Rows of one topic; prints progress to standard error."""
     started = time.perf_counter()
 
-    def told(number: int) -> None:
+    def report(number: int) -> None:
         past = f"{time.perf_counter() - started:.0f} s"
         print(f"{topic}: round {number} of {settings.rounds}, {past}", file=sys.stderr, flush=True)
 
     with TOPICS[topic](settings) as comparisons:
-        found = run_rounds(comparisons, settings, told)
-    return [row for each in found for row in rows(each, judged=not settings.quick)]
+        found = run_rounds(comparisons, settings, report)
+    return [row for each in found for row in rows(each, with_targets=not settings.quick)]
 
 
 def parse() -> argparse.Namespace:
@@ -82,7 +81,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--precision", nargs="+", choices=PRECISIONS, default=["fp32", "bf16"])
     parser.add_argument("--only", nargs="+", choices=TOPICS, default=list(TOPICS))
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--quick", action="store_true", help="show that it runs, and no speed")
+    parser.add_argument("--quick", action="store_true", help="check that it runs; no valid speeds")
     options = parser.parse_args()
     if options.out is None and options.only == list(TOPICS) and not options.quick:
         options.out = Path(f"bench/results/speed-{options.device}.json")
@@ -90,7 +89,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measure, print, and keep."""
+    """Measure, print and save."""
     options = parse()
     torch.set_num_threads(options.threads)
     settings = Settings(
@@ -111,7 +110,7 @@ def main() -> None:
     figures: list[dict[str, Any]] = []
     for topic in options.only:
         figures += measure(topic, settings)
-        if options.out is not None:  # what there is, should the next topic fail
+        if options.out is not None:  # partial results, should the next topic fail
             options.out.parent.mkdir(parents=True, exist_ok=True)
             options.out.write_text(json.dumps(document | {"figures": figures}, indent=2) + "\n")
     Console(width=None if sys.stdout.isatty() else WIDTH).print(table(figures))

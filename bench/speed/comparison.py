@@ -1,4 +1,4 @@
-"""What is compared: one piece of work, those who do it, and how well they should."""
+"""Comparison of contenders at one workload, with a target."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bench.speed.products import Products
 
 
 class Kind(Enum):
-    """What a figure is, and so what a ratio of two of them means."""
+    """Kind of a figure, which defines the ratio of two."""
 
     RATE = "a second"
     SECONDS = "seconds"
@@ -24,12 +24,12 @@ Measure = Callable[[int], float]
 
 @dataclass(frozen=True)
 class Contender:
-    """One who does the work.
+    """An implementation of the workload.
 
     Attributes:
-        name: Whose code it is.
-        measure: Does the work once; None where it is absent.
-        note: What sets it apart, or why it is absent.
+        name: Name of the library.
+        measure: Runs the workload once; None where it is absent.
+        note: Differences from the others, or why it is absent.
     """
 
     name: str
@@ -39,14 +39,14 @@ class Contender:
 
 @dataclass(frozen=True)
 class Target:
-    """What our figure should reach: at least one of the bounds that are given.
+    """Target of our figure; all bounds that are given must hold.
 
     Attributes:
-        text: How it reads.
-        rival: How the names of those begin whose best figure ours is compared with.
-        ratio: At least so many times better than the rival.
-        seconds: At most so many.
-        times_products: At most so many times what the matrix products alone need.
+        text: Text in the table.
+        rival: Prefix of the rivals' names; the best of them counts.
+        ratio: Minimal factor by which ours is better than the rival.
+        seconds: Maximal time, s.
+        times_products: Maximal multiple of the time of the matrix products alone.
     """
 
     text: str
@@ -58,18 +58,18 @@ class Target:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One piece of work, and who does it; the first contender is ours.
+    """A workload and its contenders; the first one is ours.
 
     Attributes:
-        topic: Which part of a training run it is of.
-        work: What is done, with its sizes.
+        topic: Part of a training run.
+        work: Workload, with its sizes.
         unit: Unit of the figures.
-        kind: What the figures are.
+        kind: Kind of the figures.
         contenders: At least one.
-        precision: What all of them compute in, where it matters.
-        products: The matrix products that one unit of the work cannot do without.
-        target: What ours should reach.
-        at_most_rounds: Fewer rounds than the others, where one takes minutes.
+        precision: Precision of all contenders, where it matters.
+        products: The matrix products that one unit of the workload requires.
+        target: Target of ours.
+        at_most_rounds: Limit of the rounds, where one takes minutes.
     """
 
     topic: str

@@ -51,5 +51,5 @@ def training(settings: Settings, precision: Precision, batch: int) -> Measure:
         with precision.on_this_process():
             return steps / seconds_of(train, settings.device)
 
-    measure(0)  # what is compiled and allocated at first
+    measure(0)  # warm-up: compilation and allocation
     return measure

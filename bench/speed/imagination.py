@@ -16,7 +16,7 @@ from bench.speed.settings import Settings
 from bench.speed.timing import seconds_of
 from iher_robot.learning.progress import silent
 
-POLICY = (OBSERVATION + GOAL + 1, 256, 256, 256, ACTION)  # one input says which source
+POLICY = (OBSERVATION + GOAL + 1, 256, 256, 256, ACTION)  # one input is the source
 ROWS = 4096
 """Rows of most products of a refill."""
 REFILL_S = 20.0
@@ -25,7 +25,7 @@ TIMES_PRODUCTS = 1.5
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """Rollouts at once, and a source that is refilled, in each precision."""
+    """Batched rollouts, and a refill of the source, in each precision."""
     found = []
     for precision in settings.precisions:
         found += [rollouts_at_once(settings, precision), whole_refill(settings, precision)]
@@ -79,7 +79,7 @@ def adding(settings: Settings, precision: Precision, rollouts: int) -> Measure:
             seconds = seconds_of(imagine, settings.device)
         return rollouts * learner.shapes.episode_ticks / seconds
 
-    measure(0)  # what is compiled and allocated at first
+    measure(0)  # warm-up: compilation and allocation
     return measure
 
 
@@ -97,6 +97,6 @@ def refilling(settings: Settings, precision: Precision, count: int) -> Measure:
         assert learner.imagined.replay.num_transitions == count
         return seconds
 
-    refill()  # what is compiled and allocated at first
+    refill()  # warm-up: compilation and allocation
     learner.imagined.level = count
     return measure

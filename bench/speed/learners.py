@@ -1,4 +1,4 @@
-"""Learners of ours, with real episodes of random actions in them."""
+"""Our learners, filled with real episodes of random actions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import islice
 from bench.memory import record, variations
 from bench.speed.precision import Precision
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import make_env
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
@@ -25,7 +25,7 @@ FEW_STEPS = (
     "learner.schedule.batches=1",
 )
 OBSERVATION, GOAL, ACTION = 25, 3, 4
-"""Widths of Push."""
+"""Dimensions of Push."""
 
 
 @cache
@@ -50,7 +50,7 @@ def learner_of_push(settings: Settings, precision: Precision, overrides: Sequenc
 
 
 def learner_with_models(settings: Settings, precision: Precision) -> Learner:
-    """One whose models can imagine, after an epoch of as few steps as there can be."""
+    """A learner whose models can imagine, after an epoch of minimal length."""
     learner = learner_of_push(settings, precision, FEW_STEPS)
     with precision.on_this_process():
         learner.learn()
@@ -58,7 +58,7 @@ def learner_with_models(settings: Settings, precision: Precision) -> Learner:
 
 
 def fill(learner: Learner, transitions: int) -> None:
-    """Add real episodes until so many transitions are stored."""
+    """Add real episodes up to a number of stored transitions."""
     _, episodes = recorded()
     missing = (transitions - learner.real.replay.num_transitions) // learner.shapes.episode_ticks
     more = variations(episodes, missing, seed=0)

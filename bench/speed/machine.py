@@ -1,4 +1,4 @@
-"""The machine, as far as it decides a speed."""
+"""Properties of the machine that affect speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PACKAGES = ("gymnasium", "stable_baselines3", "sbx-rl", "jax")
 
 
 def cpu_flags() -> list[str]:
-    """Which of the CPU's instructions for products it has; none where Linux does not tell."""
+    """The CPU's instruction sets for matrix products; empty where they are not known."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -23,7 +23,7 @@ def cpu_flags() -> list[str]:
 
 
 def has_matrix_units(device: torch.device) -> bool:
-    """Whether it multiplies whole matrices of bfloat16."""
+    """Whether the device has matrix units for bfloat16."""
     return device.type == "cuda" or "amx_bf16" in cpu_flags()
 
 
@@ -38,7 +38,7 @@ def versions_of_rivals() -> dict[str, str]:
 
 
 def with_this_machine(provenance: dict[str, Any]) -> dict[str, Any]:
-    """Add to a provenance what decides a speed."""
+    """Add the properties that affect speed to a provenance."""
     machine = provenance["machine"] | {"cpu_flags": cpu_flags()}
     versions = provenance["versions"] | versions_of_rivals()
     return provenance | {"machine": machine, "versions": versions}

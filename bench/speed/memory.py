@@ -1,4 +1,4 @@
-"""Memory of the learner of Push with full replays; bench/memory.py looks closer, and longer."""
+"""Memory of Push's learner with full replays; bench/memory.py measures more and longer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.speed.settings import Settings
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """The most that is resident until a million imagined transitions are made anew."""
+    """Peak resident memory until a million imagined transitions are refilled."""
     count = settings.sized(1_000_000, 4_000)
 
     def measure(_: int) -> float:
@@ -35,10 +35,10 @@ def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
 
 
 def peak_when_full(settings: Settings, count: int) -> dict[str, float]:
-    """In a process of its own, whose peak is its own."""
+    """Peak memory; run in a separate process."""
     torch.set_num_threads(settings.threads)
     learner = learner_with_models(settings, settings.precisions[0])
     fill(learner, count)
-    learner.imagined.level = count  # what the next epoch makes anew
+    learner.imagined.level = count  # refilled in the next epoch
     learner.learn()
     return memory()

@@ -8,7 +8,7 @@ ID = "FetchPush-v4"
 
 
 def make_official() -> gym.Env:
-    """Push as everybody makes it."""
+    """Make Push of gymnasium-robotics."""
     import gymnasium_robotics
 
     gym.register_envs(gymnasium_robotics)

@@ -1,4 +1,4 @@
-"""Precisions of matrix products, the same for all who compute with torch."""
+"""Precisions of matrix products, for all contenders that use torch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Precision:
         name: As on the command line.
         matmul: As in ``torch.set_float32_matmul_precision``; for the whole process.
         products: Type of the factors.
-        overrides: Settings of a learner of ours that computes so.
+        overrides: Settings of our learner with this precision.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Precision:
 
     @contextmanager
     def on_this_process(self) -> Iterator[None]:
-        """Let torch compute its float32 products so."""
+        """Set the precision of torch's float32 products in this process."""
         before = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(self.matmul)
         try:
@@ -37,7 +37,7 @@ class Precision:
 
     @contextmanager
     def around_others(self, device: torch.device) -> Iterator[None]:
-        """Let code that knows nothing of precisions compute so."""
+        """Set the precision for code without such a setting, by autocast."""
         autocast = torch.autocast(
             device.type, self.products, enabled=self.products != torch.float32
         )
@@ -49,7 +49,7 @@ PRECISIONS = {
     each.name: each
     for each in (
         Precision("fp32", "highest", torch.float32, ("learner.matmul_precision=highest",)),
-        # Leave for less: bfloat16 inside where the CPU has units for it, TF32 on a GPU.
+        # May use less: bfloat16 where the CPU has units for it, TF32 on a GPU.
         Precision("medium", "medium", torch.float32, ("learner.matmul_precision=medium",)),
         Precision("bf16", "highest", torch.bfloat16, ("learner.matmul_precision=bfloat16",)),
     )

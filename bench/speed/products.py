@@ -1,7 +1,7 @@
-"""Matrix products: how many a piece of work takes, and how fast the machine makes them.
+"""Matrix products: their number per unit of work, and the rate of this machine.
 
-A product of (n, k) and (k, m) counts as 2 n k m operations. Counted is what the algorithm cannot
-do without: no gradient that nobody reads, nothing but products.
+A product of (n, k) and (k, m) counts as 2 n k m operations. Only required products are counted: no
+unused gradients, no other operations.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class Products:
     """Products of one unit of work.
 
     Attributes:
-        operations: Floating point operations.
-        rows: Of the left factor of the product whose measured rate is taken.
-        width: Of its right factor, which is square; the widest layer of the networks.
+        operations: Floating-point operations.
+        rows: Rows of the left factor of the product whose rate is measured.
+        width: Width of its square right factor, the widest layer of the networks.
     """
 
     operations: float
@@ -32,14 +32,14 @@ class Products:
 
 
 def forward(rows: int, widths: Sequence[int]) -> float:
-    """Operations of a network's products for so many rows."""
+    """Operations of a network's products for a number of rows."""
     return sum(2.0 * rows * fan_in * fan_out for fan_in, fan_out in pairwise(widths))
 
 
 def backward(rows: int, widths: Sequence[int]) -> float:
     """Operations of the gradients of a network's weights.
 
-    Each layer takes one product for its weights, and each but the first one for its input.
+    Each layer takes one product for its weights, and all but the first one for its input.
     """
     return 2.0 * forward(rows, widths) - forward(rows, widths[:2])
 
@@ -49,14 +49,14 @@ def update(batch: int, inputs: int, actions: int, hidden: Sequence[int]) -> floa
 
     Args:
         batch: Transitions.
-        inputs: Width of the actor's input; the critic's has the action beside it.
+        inputs: Width of the actor's input; the critic's adds the action.
         actions: Width of an action.
         hidden: Widths of the hidden layers of both.
     """
     actor, critic = (inputs, *hidden, actions), (inputs + actions, *hidden, 1)
     targets = forward(batch, actor) + forward(batch, critic)
     critic_step = forward(batch, critic) + backward(batch, critic)
-    through_critic = 2.0 * forward(batch, critic)  # there and back, no gradient of its weights
+    through_critic = 2.0 * forward(batch, critic)  # there and back, no weight gradients
     return targets + critic_step + forward(batch, actor) + through_critic + backward(batch, actor)
 
 
@@ -70,7 +70,7 @@ def imagined_transition(
 ) -> float:
     """Operations of the policy's action and of all members' predictions.
 
-    The intrinsic reward is their disagreement and takes no product more.
+    The intrinsic reward is their disagreement and takes no further product.
     """
     return forward(1, policy_widths) + members * forward(1, model_widths)
 
@@ -78,7 +78,7 @@ def imagined_transition(
 def rate(
     products: Products, precision: Precision, device: torch.device, seconds: float = 0.2
 ) -> float:
-    """Operations a second of products of that shape, measured now."""
+    """Measure the operations per second of products of that shape."""
     with precision.on_this_process():
         generator = torch.Generator(device).manual_seed(0)
         left, right = (

@@ -1,6 +1,6 @@
-"""The whole time to a solved Reach: a training run as a process, from its start to its end.
+"""Total time to a solved Reach: a training run as a process, from start to end.
 
-It ends where two evaluations in a row were at 98 %. A round has a seed of its own.
+It ends when two evaluations in a row reach 98 %. Each round has its own seed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SUCCESS = 0.98
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """The time, and the most memory of the same runs."""
+    """Time and peak memory of the same runs."""
 
     @cache
     def run(seed: int) -> tuple[float, float]:
@@ -61,5 +61,5 @@ def train(settings: Settings, seed: int) -> tuple[float, float]:
             raise SystemExit(f"training ended with {process.returncode}")
         rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     if not settings.quick and not solved_row(rows, SUCCESS):
-        raise SystemExit(f"Reach was not solved with seed {seed}, so that there is no time to it")
+        raise SystemExit(f"Reach was not solved with seed {seed}, so there is no time to report")
     return seconds, usage.ru_maxrss * 1024 / 1e6

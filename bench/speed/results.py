@@ -1,4 +1,4 @@
-"""From figures of rounds to medians, ratios and a table."""
+"""Results of a benchmark: medians, ratios, targets and a table."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ TITLES = ("work", "precision", "who", "median", "ours is", "products alone", "ta
 LEFT = ("work", "precision", "who", "target")
 
 
-def rows(found: Found, *, judged: bool) -> list[dict[str, Any]]:
-    """One for each contender, as they are kept; the main module tells the keys.
+def rows(found: Found, *, with_targets: bool) -> list[dict[str, Any]]:
+    """A row for each contender, as saved; the main module documents the keys.
 
     Args:
         found: Figures of a comparison.
-        judged: Whether they say anything of the target.
+        with_targets: Whether to compare the figures with the target.
     """
     comparison, ours = found.comparison, found.figures[0]
     kept = []
@@ -45,7 +45,7 @@ def rows(found: Found, *, judged: bool) -> list[dict[str, Any]]:
         }
         if place == 0 and comparison.target is not None:
             row["target"] = comparison.target.text
-            row["target_met"] = is_met(comparison.target, found) if judged else None
+            row["target_met"] = is_met(comparison.target, found) if with_targets else None
         kept.append(row)
     return kept
 
@@ -55,24 +55,24 @@ def median(values: Sequence[float]) -> float | None:
 
 
 def ratios(kind: Kind, ours: Sequence[float], theirs: Sequence[float]) -> list[float]:
-    """How many times better ours was, round by round."""
+    """Factor by which ours is better, per round."""
     pairs = list(zip(ours, theirs, strict=False)) if ours and theirs else []
     return [a / b if kind is Kind.RATE else b / a for a, b in pairs]
 
 
 def products_seconds(found: Found) -> list[float]:
-    """Seconds that the products of one unit of work would need alone, round by round."""
+    """Seconds of the products of one unit of work, per round."""
     work = found.comparison.products
     return [work.operations / speed for speed in found.products] if work else []
 
 
 def times_products(found: Found, figures: Sequence[float]) -> list[float]:
-    """How many times as long a unit of work took, round by round."""
+    """Time of a unit of work as a multiple of its products' time, per round."""
     alone = products_seconds(found)
     if not alone or not figures:
         return []
-    taken = [1.0 / f if found.comparison.kind is Kind.RATE else f for f in figures]
-    return [took / least for took, least in zip(taken, alone, strict=True)]
+    durations = [1.0 / f if found.comparison.kind is Kind.RATE else f for f in figures]
+    return [time / product for time, product in zip(durations, alone, strict=True)]
 
 
 def is_met(target: Target, found: Found) -> bool | None:
@@ -80,18 +80,18 @@ def is_met(target: Target, found: Found) -> bool | None:
     ours = found.figures[0]
     if not ours:
         return None
-    judged = []
+    met = []
     if target.ratio is not None:
-        judged.append(worst_ratio(target, found) >= target.ratio)
+        met.append(worst_ratio(target, found) >= target.ratio)
     if target.seconds is not None:
-        judged.append(statistics.median(ours) <= target.seconds)
+        met.append(statistics.median(ours) <= target.seconds)
     if target.times_products is not None:
-        judged.append(statistics.median(times_products(found, ours)) <= target.times_products)
-    return all(judged)
+        met.append(statistics.median(times_products(found, ours)) <= target.times_products)
+    return all(met)
 
 
 def worst_ratio(target: Target, found: Found) -> float:
-    """Against the best of the rivals whose names begin so."""
+    """Ratio to the best of the target's rivals."""
     named = zip(found.comparison.contenders[1:], found.figures[1:], strict=True)
     rivals = [figures for contender, figures in named if contender.name.startswith(target.rival)]
     return min(
@@ -101,8 +101,8 @@ def worst_ratio(target: Target, found: Found) -> float:
 
 
 def table(kept: Sequence[dict[str, Any]]) -> Table:
-    """All rows, a section for each comparison."""
-    drawn = Table(title="Medians of rounds in which the contenders took turns (least to greatest)")
+    """Table of all rows, a section per comparison."""
+    drawn = Table(title="Medians over rounds with alternating contenders (minimum to maximum)")
     for title in TITLES:
         drawn.add_column(title, justify="left" if title in LEFT else "right")
     for (work, precision), group in groupby(kept, lambda row: (row["work"], row["precision"])):

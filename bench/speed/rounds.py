@@ -1,4 +1,4 @@
-"""Measures in rounds: in each one, each contender once, forwards and backwards in turn."""
+"""Measurement in rounds: each contender once per round, in alternating order."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Each = TypeVar("Each")
 
 @dataclass
 class Found:
-    """What a comparison came to.
+    """Figures of a comparison.
 
     Attributes:
-        comparison: Which.
-        figures: Of each contender, by its place, one a round; empty where it is absent.
-        products: Operations a second of the matrix products, one a round.
+        comparison: The comparison.
+        figures: Figures of each contender, in order, one per round; empty where it is absent.
+        products: Operations per second of the matrix products, one per round.
     """
 
     comparison: Comparison
@@ -32,14 +32,14 @@ class Found:
 
 
 def run_rounds(
-    comparisons: Sequence[Comparison], settings: Settings, told: Callable[[int], None]
+    comparisons: Sequence[Comparison], settings: Settings, on_round: Callable[[int], None]
 ) -> list[Found]:
-    """Measure.
+    """Measure all comparisons.
 
     Args:
-        comparisons: Which.
-        settings: How often, and where.
-        told: Told each round as it ends, from 1.
+        comparisons: The comparisons.
+        settings: Rounds and device.
+        on_round: Called with the number of each finished round, from 1.
     """
     found = [Found(comparison) for comparison in comparisons]
     for number in range(settings.rounds):
@@ -47,7 +47,7 @@ def run_rounds(
             limit = each.comparison.at_most_rounds
             if limit is None or number < limit:
                 one_round(each, settings, number)
-        told(number + 1)
+        on_round(number + 1)
     return found
 
 
@@ -64,5 +64,5 @@ def one_round(found: Found, settings: Settings, number: int) -> None:
 
 
 def in_turn(items: Sequence[Each], number: int) -> Sequence[Each]:
-    """Forwards in the first round, backwards in the next."""
+    """Forward order in even rounds, reverse order in odd ones."""
     return items if number % 2 == 0 else items[::-1]

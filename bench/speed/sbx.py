@@ -1,4 +1,4 @@
-"""sbx (JAX) as a rival: DDPG with ``HerReplayBuffer``, in a process of its own.
+"""Contender sbx (JAX): DDPG with ``HerReplayBuffer``, in a separate process.
 
 The processes take turns, so that the threads of torch and of JAX do not disturb each other.
 """
@@ -25,7 +25,7 @@ NOT_INSTALLED = "not installed"
 
 
 class Absent:
-    """Where sbx is not installed."""
+    """Contender where sbx is not installed."""
 
     def contender(self, _precision: Precision, _batch: int, _count: int) -> Contender:
         return Contender(NAME, None, NOT_INSTALLED)
@@ -35,8 +35,8 @@ class Agent:
     """An agent in another process.
 
     Args:
-        process: Of ``bench.speed.sbx_worker``.
-        device: Where learners of ours compute.
+        process: Process of ``bench.speed.sbx_worker``.
+        device: Device of our learners.
     """
 
     def __init__(self, process: subprocess.Popen[str], device: str) -> None:
@@ -45,7 +45,7 @@ class Agent:
         self._device = device
 
     def contender(self, precision: Precision, batch: int, count: int) -> Contender:
-        """One who takes so many updates."""
+        """Contender that takes a number of updates."""
         request = {"precision": precision.name, "batch": batch, "count": count}
 
         def measure(_: int) -> float:
@@ -53,33 +53,33 @@ class Agent:
             print(json.dumps(request), file=self._process.stdin, flush=True)
             return float(self._answer()["rate"])
 
-        measure(0)  # what is compiled at first
+        measure(0)  # warm-up: compilation
         return Contender(NAME, measure, self._note(precision))
 
     def _note(self, precision: Precision) -> str:
         notes = []
         if self._about["platform"] != self._device:
-            notes.append(f"on {self._about['platform']}, JAX finds nothing else")
+            notes.append(f"on {self._about['platform']}, the only device that JAX finds")
         if precision.products != torch.float32 and not self._about["bf16"]:
-            notes.append("in fp32, XLA does nothing else here")
+            notes.append("in fp32, XLA supports no bf16 here")
         return "; ".join(notes)
 
     def _answer(self) -> dict[str, Any]:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise SystemExit("sbx ended before it was asked to; what it said is above")
+            raise SystemExit("sbx ended early; its output is above")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
 
 @contextmanager
 def agent(settings: Settings, hidden: Sequence[int]) -> Iterator[Agent | Absent]:
-    """Start the process, and end it."""
+    """Start the process and end it."""
     if importlib.util.find_spec("sbx") is None:
         yield Absent()
         return
-    asked = {
+    options = {
         "hidden": list(hidden),
         "threads": settings.threads,
         "quick": settings.quick,
@@ -91,7 +91,7 @@ def agent(settings: Settings, hidden: Sequence[int]) -> Iterator[Agent | Absent]
     }
     if settings.device.type == "cpu":
         environment["JAX_PLATFORMS"] = "cpu"
-    command = [sys.executable, "-m", "bench.speed.sbx_worker", json.dumps(asked)]
+    command = [sys.executable, "-m", "bench.speed.sbx_worker", json.dumps(options)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -99,4 +99,4 @@ def agent(settings: Settings, hidden: Sequence[int]) -> Iterator[Agent | Absent]
             yield Agent(process, settings.device.type)
         finally:
             assert process.stdin is not None
-            process.stdin.close()  # it reads to the end
+            process.stdin.close()  # it ends at the end of its input

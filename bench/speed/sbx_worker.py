@@ -1,4 +1,4 @@
-"""Measures sbx in a process of its own: reads a request a line, and answers each with a line."""
+"""Worker process that measures sbx: one request per line, one answer per line."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import sys
 from contextlib import redirect_stdout
 from types import ModuleType
 
-# Of the products of JAX; networks, gradients and optimiser stay in float32.
+# Precisions of JAX's products; networks, gradients and optimiser stay in float32.
 PRECISIONS = {"fp32": "highest", "medium": "default", "bf16": "bfloat16"}
 
 
 def main() -> None:
-    asked, answers = json.loads(sys.argv[1]), sys.stdout
-    with redirect_stdout(sys.stderr):  # what libraries print is no answer
+    options, answers = json.loads(sys.argv[1]), sys.stdout
+    with redirect_stdout(sys.stderr):  # output of libraries is not an answer
         cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, cores[: asked["threads"]])  # before JAX makes its threads
+        os.sched_setaffinity(0, cores[: options["threads"]])  # before JAX starts its threads
 
         import jax
         import torch
@@ -26,10 +26,10 @@ def main() -> None:
         from bench.speed.settings import Settings
         from bench.speed.stable_baselines import Agent
 
-        torch.set_num_threads(asked["threads"])  # the replay is torch's
-        settings = Settings(1, asked["threads"], torch.device("cpu"), (), asked["quick"])
-        # DDPG lists no policy for observations in parts; TD3's, which it is made of, takes them.
-        agent = Agent(DDPG, TD3Policy, settings, asked["hidden"], "cpu")
+        torch.set_num_threads(options["threads"])  # the replay uses torch
+        settings = Settings(1, options["threads"], torch.device("cpu"), (), options["quick"])
+        # DDPG has no policy for dict observations; that of TD3, its base, accepts them.
+        agent = Agent(DDPG, TD3Policy, settings, options["hidden"], "cpu")
         about = {"platform": platform(jax), "bf16": computes_in_bf16(jax)}
         print(json.dumps(about), file=answers, flush=True)
         for line in sys.stdin:
@@ -45,7 +45,7 @@ def platform(jax: ModuleType) -> str:
 
 
 def computes_in_bf16(jax: ModuleType) -> bool:
-    """Whether products differ where they may be computed in bfloat16; XLA need not do so."""
+    """Whether XLA computes products in bfloat16 where it may: whether they differ."""
     matrix = jax.random.normal(jax.random.PRNGKey(0), (64, 64))
     exact, rough = (
         jax.numpy.matmul(matrix, matrix, precision=PRECISIONS[name]) for name in ("fp32", "bf16")

@@ -1,4 +1,4 @@
-"""What one run of the measurements is asked for."""
+"""Settings of a benchmark run."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Size = TypeVar("Size")
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one run.
+    """Settings of a benchmark run.
 
     Attributes:
-        rounds: In each of them each contender is measured once.
-        threads: Of torch, and of JAX.
-        device: Where learners compute.
-        precisions: Those that are measured.
-        quick: Everything small: shows that it runs, and no speed.
+        rounds: Number of rounds; each measures each contender once.
+        threads: Threads of torch and of JAX.
+        device: Device of the learners.
+        precisions: Precisions to measure.
+        quick: Small sizes, which check that it runs; speeds are not valid.
     """
 
     rounds: int
@@ -31,5 +31,5 @@ class Settings:
     quick: bool
 
     def sized(self, full: Size, quick: Size) -> Size:
-        """A size, by whether the run is quick."""
+        """The full or the quick size."""
         return quick if self.quick else full

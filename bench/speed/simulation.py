@@ -1,4 +1,4 @@
-"""Control ticks of simulated robots, resets included, and inverse kinematics."""
+"""Control ticks of simulated robots, with resets, and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.speed.comparison import Comparison, Contender, Kind, Target
 from bench.speed.learners import learner_of_push
 from bench.speed.official import make_official
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv, make_env
 from iher_robot.learning.goal_model import REAL
 from iher_robot.learning.learner import Learner
@@ -33,71 +33,60 @@ VECTOR = "gymnasium-robotics, asynchronous"
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """Physics with a mocap body, with motors, and inverse kinematics alone."""
+    """Physics with a mocap body, physics with motors, and inverse kinematics."""
     episodes = settings.sized(8, 1)
-    cores = len(os.sched_getaffinity(0))
     with ExitStack() as stack:
-        mocap = stack.enter_context(make_env("push", actuation="mocap"))
         joint = stack.enter_context(make_env("push"))
-        official = make_official()
-        stack.callback(official.close)
-        learner = learner_of_push(settings, settings.precisions[0], ())
-        act = Acting(learner.acting_policy(CPU))
-        at_random, with_policy = [], []
-        for workers in settings.sized([cores, 2 * cores], [1]):
-            vector = AsyncVectorEnv(
-                [make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP
-            )
-            stack.callback(vector.close)
-            name, ticks = f"{VECTOR}, {workers} robots", ticks_per_second_of_vector
-            at_random.append(Contender(name, partial(ticks, vector, episodes, None)))
-            with_policy.append(Contender(name, partial(ticks, vector, episodes, act)))
+        motors = Contender("iher_robot, one fetch", partial(ticks_per_second, joint, episodes))
+        solver = Contender("iher_robot", partial(solves_per_second, joint, episodes))
         yield [
-            Comparison(
-                topic="simulation",
-                work="control ticks, mocap physics, random actions",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(
-                    Contender(
-                        "iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes)
-                    ),
-                    Contender(
-                        "gymnasium-robotics, gym.make",
-                        partial(ticks_per_second, official, episodes),
-                    ),
-                    *at_random,
-                ),
-            ),
-            Comparison(
-                topic="simulation",
-                work="episodes of a policy, mocap physics, control ticks",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(many_simulators(stack, learner, cores, episodes), *with_policy),
-                target=Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
-            ),
-            Comparison(
-                topic="simulation",
-                work="control ticks, motors in the joints",
-                unit="ticks/s",
-                kind=Kind.RATE,
-                contenders=(
-                    Contender("iher_robot, one fetch", partial(ticks_per_second, joint, episodes)),
-                ),
-            ),
-            Comparison(
-                topic="simulation",
-                work="inverse kinematics, median of a random motion",
-                unit="solves/s",
-                kind=Kind.RATE,
-                contenders=(Contender("iher_robot", partial(solves_per_second, joint, episodes)),),
-            ),
+            *mocap_comparisons(stack, settings, episodes),
+            comparison("control ticks, motors in the joints", "ticks/s", (motors,)),
+            comparison("inverse kinematics, median of a random motion", "solves/s", (solver,)),
         ]
 
 
-class Acting:
-    """A policy on the CPU that acts on what several robots observe."""
+def mocap_comparisons(stack: ExitStack, settings: Settings, episodes: int) -> list[Comparison]:
+    """One robot with random actions, and many robots with a policy."""
+    mocap = stack.enter_context(make_env("push", actuation="mocap"))
+    official = make_official()
+    stack.callback(official.close)
+    learner = learner_of_push(settings, settings.precisions[0], ())
+    act = BatchActor(learner.acting_policy(CPU))
+    cores = len(os.sched_getaffinity(0))
+    at_random, with_policy = [], []
+    for workers in settings.sized([cores, 2 * cores], [1]):
+        vector = AsyncVectorEnv([make_official] * workers, autoreset_mode=AutoresetMode.SAME_STEP)
+        stack.callback(vector.close)
+        name, ticks = f"{VECTOR}, {workers} robots", ticks_per_second_of_vector
+        at_random.append(Contender(name, partial(ticks, vector, episodes, None)))
+        with_policy.append(Contender(name, partial(ticks, vector, episodes, act)))
+    ours = Contender("iher_robot, one fetch-mocap", partial(ticks_per_second, mocap, episodes))
+    theirs = Contender(
+        "gymnasium-robotics, gym.make", partial(ticks_per_second, official, episodes)
+    )
+    many = many_simulators(stack, learner, cores, episodes)
+    return [
+        comparison(
+            "control ticks, mocap physics, random actions", "ticks/s", (ours, theirs, *at_random)
+        ),
+        comparison(
+            "episodes of a policy, mocap physics, control ticks",
+            "ticks/s",
+            (many, *with_policy),
+            Target(f"{RATIO:g} x {VECTOR}", rival=VECTOR, ratio=RATIO),
+        ),
+    ]
+
+
+def comparison(
+    work: str, unit: str, contenders: tuple[Contender, ...], target: Target | None = None
+) -> Comparison:
+    return Comparison("simulation", work, unit, Kind.RATE, contenders, target=target)
+
+
+class BatchActor:
+    """A policy on the CPU that acts on the observations of several robots."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
@@ -123,7 +112,7 @@ def many_simulators(stack: ExitStack, learner: Learner, cores: int, episodes: in
             pass
         return count * EPISODE_TICKS / (time.perf_counter() - started)
 
-    measure(0)  # what starts at first
+    measure(0)  # warm-up: start of the processes
     return Contender(f"iher_robot, {simulators} simulators", measure)
 
 
@@ -141,14 +130,14 @@ def ticks_per_second(env: gym.Env, episodes: int, round_number: int) -> float:
 
 
 def ticks_per_second_of_vector(
-    env: AsyncVectorEnv, episodes: int, act: Acting | None, round_number: int
+    env: AsyncVectorEnv, episodes: int, act: BatchActor | None, round_number: int
 ) -> float:
-    """Ticks of all its environments together; each resets itself in its last step."""
+    """Ticks of all environments together; each resets itself in its last step."""
     actions = random_actions(round_number, EPISODE_TICKS, env.num_envs)
     started = time.perf_counter()
     observation, _ = env.reset(seed=round_number)
     for episode in range(episodes):
-        # The last one resets no more than the others do.
+        # The last episode ends without a reset.
         for action in actions[: EPISODE_TICKS - (episode == episodes - 1)]:
             observation, *_ = env.step(action if act is None else act(observation))
     seconds = time.perf_counter() - started
@@ -160,7 +149,7 @@ def random_actions(seed: int, *shape: int) -> np.ndarray:
 
 
 def solves_per_second(env: GoalRobotEnv, episodes: int, round_number: int) -> float:
-    """From the median time of a joint command for an action."""
+    """Inverse of the median time of a joint command for an action."""
     actions = random_actions(round_number, EPISODE_TICKS)
     times = []
     for episode in range(episodes):

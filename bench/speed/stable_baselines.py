@@ -1,4 +1,4 @@
-"""Stable-Baselines3 as a rival: DDPG with ``HerReplayBuffer``."""
+"""Contender Stable-Baselines3: DDPG with ``HerReplayBuffer``."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ NEVER = 10**9
 
 
 class Agent:
-    """An agent that has stored some episodes of random actions.
+    """An agent with stored episodes of random actions.
 
     Args:
-        algorithm: Of the family; sbx has the same interface.
-        policy: What it is made of.
-        settings: Of the run.
+        algorithm: Algorithm class; sbx has the same interface.
+        policy: Its policy.
+        settings: Settings of the run.
         hidden: Widths of the hidden layers of actor and critic.
-        device: Where it computes.
+        device: Device of the agent.
     """
 
     def __init__(
@@ -60,24 +60,24 @@ class Agent:
         self._agent.set_logger(configure(None, []))
 
     def rate(self, batch: int, count: int) -> float:
-        """Updates a second."""
+        """Updates per second."""
         seconds = seconds_of(
             lambda: self._agent.train(count, batch_size=batch), self._settings.device
         )
         return count / seconds
 
     def contender(self, precision: Precision, batch: int, count: int) -> Contender:
-        """One who takes so many updates."""
+        """Contender that takes a number of updates."""
 
         def measure(_: int) -> float:
             with precision.around_others(self._settings.device):
                 return self.rate(batch, count)
 
-        measure(0)  # what is compiled and allocated at first
+        measure(0)  # warm-up: compilation and allocation
         note = "under torch.autocast" if precision.products != torch.float32 else ""
         return Contender(NAME, measure, note)
 
 
 def agent(settings: Settings, hidden: Sequence[int]) -> Agent:
-    """Make and fill the agent."""
+    """Create and fill the agent."""
     return Agent(DDPG, "MultiInputPolicy", settings, hidden, str(settings.device))

@@ -1,4 +1,4 @@
-"""Time that work takes on a device."""
+"""Timing of work on a device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 
 
 def seconds_of(work: Callable[[], object], device: torch.device) -> float:
-    """Seconds until the work is done, on the device as well."""
+    """Seconds until the work is done, on the device too."""
     _wait_for(device)
     started = time.perf_counter()
     work()

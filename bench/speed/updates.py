@@ -1,8 +1,8 @@
 """Gradient updates: sampling, hindsight relabelling, critic, actor and targets.
 
 Ours against Stable-Baselines3 and sbx: DDPG with three hidden layers of 256, one critic, targets
-moved at each update, four of five goals relabelled, 3,200 transitions of Push stored. Theirs see
-the achieved goal beside observation and goal; ours normalise what they see.
+updated at each update, four of five goals relabelled, 3,200 transitions of Push stored. Theirs also
+take the achieved goal as input; ours normalise their inputs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from iher_robot.learning.transitions import BLOCK
 
 HIDDEN = (256, 256, 256)
 TARGETS = {256: 3.0, 2048: 2.0}
-"""By batch: how many times as fast as Stable-Baselines3."""
+"""By batch: required factor over Stable-Baselines3."""
 QUICK_TARGETS = {32: 3.0}
 STORED = (1_000_000, 100_000, 10_000)
 QUICK_STORED = (4_800, 3_200)
@@ -30,7 +30,7 @@ FLAT = 0.9
 
 @contextmanager
 def comparisons(settings: Settings) -> Iterator[list[Comparison]]:
-    """Updates against the rivals, and with more and more that is stored."""
+    """Updates against the rivals, and with a growing replay."""
     targets = settings.sized(TARGETS, QUICK_TARGETS)
     theirs = stable_baselines.agent(settings, HIDDEN)
     with sbx.agent(settings, HIDDEN) as jax:
@@ -73,7 +73,7 @@ def work(batch: int) -> Products:
 
 
 def updates_a_round(settings: Settings, batch: int) -> int:
-    """About as many seconds at each batch; whole blocks, as the learner draws them."""
+    """Similar duration at each batch size; whole blocks, as the learner samples them."""
     return settings.sized(5 if batch == 256 else 1, 1) * BLOCK
 
 
@@ -87,10 +87,10 @@ def learner_measure(
 
     def measure(_: int) -> float:
         with precision.on_this_process():
-            # An epoch without models and imagination is its updates and nothing else.
+            # An epoch without models and imagination consists of its updates.
             return count / seconds_of(learner.learn, settings.device)
 
-    measure(0)  # what is compiled and allocated at first
+    measure(0)  # warm-up: compilation and allocation
     return measure
 
 
@@ -109,7 +109,7 @@ def overrides(batch: int, count: int, stored: int | None) -> Sequence[str]:
 
 
 def with_more_stored(settings: Settings, precision: Precision) -> Comparison:
-    """Whether an update costs the same however much there is to draw from."""
+    """Cost of an update as the replay grows."""
     batch = settings.sized(256, 32)
     contenders = tuple(
         Contender(f"{OURS}, {stored:,} stored", learner_measure(settings, precision, batch, stored))

@@ -1,1 +1,1 @@
-"""Command line: parses options, calls the applications, prints results."""
+"""Command line: parse options, call the applications, print results."""

@@ -1,4 +1,4 @@
-"""The command line: its commands, interrupts and exit codes. No logic lives here."""
+"""The command line ``iher-robot``: commands, interrupts and exit codes, without logic."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Take the options that stand before the command."""
+    """Options before the command."""
 
 
 _LEARN = (train, evaluate, experiment, report, view)
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 done, 2 bad input, 130 interrupted, 143 terminated.
 
     Args:
-        arguments: The words after the program's name; by default those of the process.
+        arguments: The arguments after the program's name; by default those of the process.
 
     Raises:
         SystemExit: Always, with the exit code.

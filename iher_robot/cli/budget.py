@@ -19,7 +19,7 @@ budget = typer.Typer(name="budget")
 
 @budget.callback(invoke_without_command=True)
 def without_a_command(context: typer.Context) -> None:
-    """Show what robot time was spent, and grant more of it."""
+    """Show the robot time spent, and grant more."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -33,7 +33,7 @@ def show(
     robot: OwnRobotOption = None,
     connect: ConnectOption = None,
 ) -> None:
-    """Show what a run has spent and has left; without a run, the total of a served robot."""
+    """Show spent and remaining robot time of a run; without a run, the total of a served robot."""
     with told_when_interrupted(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.datasets.spending import spending_of_robot, spending_of_run
@@ -43,7 +43,7 @@ def show(
         elif robot is None and not connect:
             _print(spending_of_run(run))
         else:
-            raise UserError(f"name a run ({run}), or a robot by --robot and --connect, not both")
+            raise UserError(f"give a run ({run}), or a robot with --robot and --connect, not both")
 
 
 @budget.command()
@@ -51,7 +51,7 @@ def grant(
     run: Annotated[Path, typer.Argument(help="Folder of a run.", show_default=False)],
     minutes: Annotated[float, typer.Argument(help="Robot minutes of motion.", show_default=False)],
 ) -> None:
-    """Give a run more robot minutes; train --resume goes on to spend them."""
+    """Grant a run more robot minutes; train --resume continues with them."""
     with told_when_interrupted(None):
         from iher_robot.datasets.spending import grant as grant_minutes
 

@@ -31,7 +31,7 @@ RunsArgument = Annotated[
 
 @data.callback(invoke_without_command=True)
 def without_a_command(context: typer.Context) -> None:
-    """List, check and export what robots did in runs."""
+    """List, check and export the data of runs."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -47,7 +47,7 @@ def ls(
         ),
     ] = None,
 ) -> None:
-    """List runs and what they have collected."""
+    """List runs and their data."""
     with told_when_interrupted(None):
         from iher_robot.datasets.api import ls as list_runs
         from iher_robot.datasets.tables import print_tables, runs_table
@@ -55,7 +55,7 @@ def ls(
         lines = list_runs(folders or ())
     if not lines:
         where = ", ".join(map(str, folders or ())) or "runs"
-        typer.echo(f"there is no run in {where}; iher-robot train makes one")
+        typer.echo(f"there is no run in {where}; iher-robot train creates one")
         return
     print_tables(runs_table(lines))
 
@@ -66,11 +66,13 @@ def show(
     episode: Annotated[
         int | None,
         typer.Argument(
-            metavar="EPISODE", help="Show this one tick by tick, from 0.", show_default=False
+            metavar="EPISODE",
+            help="Show one episode tick by tick, from 0.",
+            show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Show what the data of a run are, or one episode."""
+    """Show a summary of a run's data, or one episode."""
     with told_when_interrupted(None):
         from iher_robot.datasets.api import show as show_run
         from iher_robot.datasets.api import show_episode
@@ -84,7 +86,7 @@ def show(
 
 @data.command()
 def verify(runs: RunsArgument) -> None:
-    """Check the digest of every file of runs, and that the parts of each belong together.
+    """Check the digest of every file of runs, and that the files of each are consistent.
 
     Exit code 1 if something is damaged.
     """
@@ -111,7 +113,7 @@ def export(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of Minari datasets, by default Minari's own.",
+            help="Folder of Minari datasets, by default Minari's.",
             show_default=False,
         ),
     ] = None,
@@ -119,9 +121,9 @@ def export(
         Path | None, typer.Option(metavar="FILE", help="Parquet file to write.", show_default=False)
     ] = None,
     account: Annotated[
-        str, typer.Option(help="Which episodes: motion, evaluation or all.")
+        str, typer.Option(help="Account of the episodes: motion, evaluation or all.")
     ] = "all",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing data.")] = False,
 ) -> None:
     """Export runs of one task to a Minari dataset or a Parquet file; needs the extra 'data'."""
     with told_when_interrupted(None):

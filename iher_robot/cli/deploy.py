@@ -23,13 +23,11 @@ def deploy(
     robot: OwnRobotOption = None,
     connect: ConnectOption = None,
     episodes: Annotated[int, typer.Option(help="Episodes to run.")] = 10,
-    speed: Annotated[
-        float, typer.Option(help="Share of full speed; episodes last the longer.")
-    ] = 0.25,
+    speed: Annotated[float, typer.Option(help="Share of full speed; episodes last longer.")] = 0.25,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check and print; nothing moves.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Start without a question.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Start without confirmation.")] = False,
     label: Annotated[
         bool, typer.Option("--label", help="Ask after each episode whether it succeeded.")
     ] = False,
@@ -38,7 +36,7 @@ def deploy(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder to make for the log, by default under deployments/.",
+            help="Folder to create for the log, by default under deployments/.",
             show_default=False,
         ),
     ] = None,
@@ -49,7 +47,7 @@ def deploy(
     ] = False,
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
-    """Run a policy on the robot, after checks and a question; every tick is logged."""
+    """Run a policy on a robot, after checks and a confirmation; every tick is logged."""
     with told_when_interrupted(None):
         from iher_robot.deployment.deploy import deploy as deploy_policy
 

@@ -25,15 +25,15 @@ def experiment(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the experiment, by default one of its name in runs/experiments; one "
-            "that is there goes on.",
+            help="Folder of the experiment, by default one of its name in runs/experiments; an "
+            "existing one continues.",
             show_default=False,
         ),
     ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            help="Runs side by side on this machine, by default one for each core.",
+            help="Parallel runs on this machine, by default one per core.",
             show_default=False,
         ),
     ] = None,
@@ -41,7 +41,7 @@ def experiment(
     address: Annotated[
         str | None,
         typer.Option(
-            help="Of the Ray cluster, such as auto or 10.0.0.7:6379; by default a new one here.",
+            help="Ray cluster, such as auto or 10.0.0.7:6379; by default a new one here.",
             show_default=False,
         ),
     ] = None,
@@ -49,8 +49,8 @@ def experiment(
         bool,
         typer.Option(
             "--ship",
-            help="With ray: run on the disks of the nodes and bring small files back, even where "
-            "they see DIR.",
+            help="With ray: run on the nodes' own disks and send small files back, even where they "
+            "see DIR.",
         ),
     ] = False,
     only: Annotated[
@@ -65,9 +65,9 @@ def experiment(
         bool, typer.Option("--display/--quiet", " /--no-display", help="The live table.")
     ] = True,
 ) -> None:
-    """Run every run of a manifest that has not finished yet, and report on all of them.
+    """Run every cell of a manifest that has not finished yet, and write the report.
 
-    Exit code 1 if one did not finish, or there is no report.
+    Exit code 1 if a cell did not finish, or there is no report.
     """
     with told_when_interrupted(None):
         from iher_robot.experiments.experiment import experiment as run_experiment
@@ -95,13 +95,13 @@ def report(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder to write to, with all that it takes to make the report again; nothing in "
-            "the experiment's is changed then. By default the same.",
+            help="Folder to write to, with everything that a later report needs; the experiment's "
+            "folder is not changed then. By default the same.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Make tables, figures and report of an experiment again; needs the extra 'report'."""
+    """Write tables, figures and report of an experiment; needs the extra 'report'."""
     with told_when_interrupted(None):
         from iher_robot.experiments.report.report import report as make_report
 

@@ -1,4 +1,4 @@
-"""What a command says when it is interrupted."""
+"""Message of an interrupted command, with how to continue."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ class Stopped(Exception):
 
 @contextmanager
 def told_when_interrupted(folder: Path | None) -> Iterator[None]:
-    """Say after an interrupt what is left to continue, as far as that is known.
+    """Raise `Stopped` after an interrupt, with the command to continue a run if there is one.
 
     Args:
-        folder: The run's folder, if it was named; the notes of the interrupt go first.
+        folder: The run's folder, if given; notes of the interrupt take precedence.
     """
     try:
         yield
     except KeyboardInterrupt as error:
         notes = list(getattr(error, "__notes__", ()))
-        # Without settings and ledger there is nothing to resume.
+        # A run without settings and ledger cannot be resumed.
         if not notes and folder and all((folder / name).is_file() for name in _RESUMED_FROM):
             notes = [f"continue with: iher-robot train --resume {shlex.quote(str(folder))}"]
         raise Stopped("; ".join(["interrupted", *notes])) from error

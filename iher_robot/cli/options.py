@@ -1,4 +1,4 @@
-"""Options that several commands take."""
+"""Options of several commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 DriverOption = Annotated[
     str | None,
     typer.Option(
-        help="What moves: a robot driver's name, by default what the robot's file names or mujoco.",
+        help="Robot driver, by default that of the robot's file, or mujoco.",
         show_default=False,
     ),
 ]
@@ -18,7 +18,7 @@ RobotOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE",
-        help="Options of the driver: a robot's name (fetch by default) or a YAML file.",
+        help="Robot: its name (fetch by default) or a YAML file.",
         show_default=False,
     ),
 ]
@@ -27,7 +27,7 @@ OwnDriverOption = Annotated[
     str | None,
     typer.Option(
         "--driver",
-        help="What moves: a robot driver's name, by default what the robot's file names, or zenoh.",
+        help="Robot driver, by default that of the robot's file, or zenoh.",
         show_default=False,
     ),
 ]
@@ -37,7 +37,7 @@ OwnRobotOption = Annotated[
     typer.Option(
         "--robot",
         metavar="NAME|FILE",
-        help="A robot's name or a YAML file, by default robot.yaml if it is there, or fetch.",
+        help="Robot: its name or a YAML file, by default robot.yaml if it exists, or fetch.",
         show_default=False,
     ),
 ]
@@ -52,8 +52,7 @@ ConnectOption = Annotated[
     typer.Option(
         "--connect",
         metavar="ENDPOINT",
-        help="Where a robot of driver zenoh is reached, such as tcp/10.0.0.7:7447; may be "
-        "repeated.",
+        help="Endpoint of a robot of driver zenoh, such as tcp/10.0.0.7:7447; may be repeated.",
         show_default=False,
     ),
 ]

@@ -19,9 +19,9 @@ def doctor(
     connect: ConnectOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
-    """Measure the link to a robot, print what it is and does, and what is wrong.
+    """Measure the link to a robot, print its specification and state, and all problems.
 
-    Exit code 1 if something is wrong.
+    Exit code 1 if there is a problem.
     """
     with told_when_interrupted(None):
         from iher_robot.config.robot import choose_own_robot
@@ -37,13 +37,13 @@ def home(
     driver: OwnDriverOption = None,
     robot: OwnRobotOption = None,
     connect: ConnectOption = None,
-    speed: Annotated[float, typer.Option(help="Share of full speed of the way home.")] = 0.25,
-    yes: Annotated[bool, typer.Option("--yes", help="Move without a question.")] = False,
+    speed: Annotated[float, typer.Option(help="Share of full speed on the way home.")] = 0.25,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without confirmation.")] = False,
 ) -> None:
     """Bring a robot home; it is left held and disarmed."""
     with told_when_interrupted(None):
         from iher_robot.config.robot import choose_own_robot
-        from iher_robot.deployment.commands import home as bring_home
+        from iher_robot.deployment.home import home as bring_home
         from iher_robot.env.operator import Operator
 
         chosen = choose_own_robot(driver, robot, connect or ())
@@ -53,10 +53,10 @@ def home(
 def stop(
     robot: OwnRobotOption = None,
     connect: ConnectOption = None,
-    reason: Annotated[str, typer.Option(help="What happened.")] = "stopped by the operator",
-    patience: Annotated[float, typer.Option(help="How long to try, s.")] = 5.0,
+    reason: Annotated[str, typer.Option(help="Reason of the stop.")] = "stopped by the operator",
+    patience: Annotated[float, typer.Option(help="Time limit, s.")] = 5.0,
 ) -> None:
-    """Stop a robot until its fault is cleared; fails if the robot did not confirm it.
+    """Stop a robot and latch the stop; exit code 1 if the robot did not confirm it.
 
     This is not a safety-rated stop.
     """
@@ -78,7 +78,7 @@ def clear_fault(
     robot: OwnRobotOption = None,
     connect: ConnectOption = None,
 ) -> None:
-    """Unlatch a robot's fault, by its name. It never arms."""
+    """Clear the latched fault of a robot by its name. The robot stays disarmed."""
     with told_when_interrupted(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.deployment.commands import clear_fault as clear

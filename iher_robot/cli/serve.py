@@ -21,14 +21,14 @@ def serve(
         list[str] | None,
         typer.Option(
             metavar="ENDPOINT",
-            help="Where to listen, tcp/127.0.0.1:7447 by default; may be repeated.",
+            help="Endpoint to listen on, tcp/127.0.0.1:7447 by default; may be repeated.",
             show_default=False,
         ),
     ] = None,
     scene: Annotated[
         str | None,
         typer.Option(
-            help="The only scene to serve; by default the one that a client's task needs.",
+            help="The only scene to serve; by default that of a client's task.",
             show_default=False,
         ),
     ] = None,
@@ -42,31 +42,31 @@ def serve(
     ] = None,
     insecure: Annotated[
         bool,
-        typer.Option("--insecure", help="Listen beyond this machine without any of them."),
+        typer.Option("--insecure", help="Listen beyond this machine without security."),
     ] = False,
     without_joint_limits: Annotated[
         bool,
         typer.Option(
             "--without-joint-limits",
-            help="Serve a robot whose joint limits nobody enforces, such as fetch-mocap.",
+            help="Serve a robot that does not enforce joint limits, such as fetch-mocap.",
         ),
     ] = False,
     perception: Annotated[
         list[str] | None,
         typer.Option(
             metavar="OBJECT",
-            help="Take this object's poses from another publisher; may be repeated.",
+            help="Take the poses of this object from another publisher; may be repeated.",
             show_default=False,
         ),
     ] = None,
     deadman: Annotated[
-        float, typer.Option(help="Silence of an armed client that disarms it, s.")
+        float, typer.Option(help="Silence of an armed client after which the robot is disarmed, s.")
     ] = 0.2,
     memory: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder that keeps latched fault, tick counter and ledger.",
+            help="Folder for the latched fault, the tick counter and the ledger.",
             show_default=False,
         ),
     ] = None,
@@ -74,7 +74,7 @@ def serve(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Append a line of JSON for each control tick: what the robot did, and for whom.",
+            help="Append a JSON line per control tick: the robot's state and the client.",
             show_default=False,
         ),
     ] = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from iher_robot.cli.interrupts import told_when_interrupted
 from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
 from iher_robot.errors import UserError
 from iher_robot.training.learners.torchrun import read_torchrun_rank
+
+if TYPE_CHECKING:
+    from iher_robot.training.result import TrainResult
 
 _BESIDE_RESUME = {"resume", "display", "simulators", "video"}
 _BESIDE_CONFIG = {"config", "out", "display", "simulators", "video"}
@@ -36,22 +39,20 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of every draw of the run.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers of the run.")] = 0,
     out: Annotated[
         str | None,
-        typer.Option(metavar="DIR", help="Folder to make for the run, by default under runs/."),
+        typer.Option(metavar="DIR", help="Folder to create for the run, by default under runs/."),
     ] = None,
     resume: Annotated[
         str | None,
-        typer.Option(
-            metavar="DIR", help="Folder of a stopped run to continue, as it was configured."
-        ),
+        typer.Option(metavar="DIR", help="Folder of a stopped run to continue, with its settings."),
     ] = None,
     config: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="All settings from a file, such as the config.yaml of another run.",
+            help="File with all settings of the run, such as the config.yaml of another run.",
             show_default=False,
         ),
     ] = None,
@@ -59,7 +60,7 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="DIR",
-            help="Begin with the real episodes of an earlier run; may be repeated.",
+            help="Start with the real episodes of an earlier run; may be repeated.",
             show_default=False,
         ),
     ] = None,
@@ -71,14 +72,14 @@ def train(
         bool | None,
         typer.Option(
             "--async/--sync",
-            help="Learn in a process of its own while the robot moves, or in turn with it.",
+            help="Learn in another process while the robot moves, or in turn with it.",
             show_default=False,
         ),
     ] = None,
     simulators: Annotated[
         int | None,
         typer.Option(
-            help="Simulated robots side by side, each on a core of its own.", show_default=False
+            help="Number of parallel simulated robots, one core each.", show_default=False
         ),
     ] = None,
     video: Annotated[
@@ -88,7 +89,7 @@ def train(
         bool, typer.Option("--display/--quiet", " /--no-display", help="The live display.")
     ] = True,
 ) -> None:
-    """Learn a task within a budget of robot minutes and leave a policy."""
+    """Learn a task within a budget of robot minutes; writes a policy."""
     rank = read_torchrun_rank()
     if rank is not None and rank.rank:
         from iher_robot.training.learners.distributed_worker import main as learn_with_others
@@ -98,50 +99,57 @@ def train(
     folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
     if stopped is not None:
         _refuse_settings_beside(context, "--resume", _BESIDE_RESUME)
-        with told_when_interrupted(stopped):
-            from iher_robot.training.train import resume as resume_run
-
-            result = resume_run(stopped, simulators=simulators, display=display, video=video)
-        typer.echo(result.summary())
-        return
-    if config is not None:
+        result = _resume(stopped, simulators=simulators, display=display, video=video)
+    elif config is not None:
         _refuse_settings_beside(context, "--config", _BESIDE_CONFIG)
+        result = _train_config(config, folder, simulators=simulators, display=display, video=video)
+    elif task is None:
+        raise UserError("no task given; choose one with --task, or a stopped run with --resume")
+    else:
+        until = _success_threshold(until_success)
         with told_when_interrupted(folder):
-            from iher_robot.config.run import change_simulators, read_config
             from iher_robot.training.train import train as train_run
 
-            settings = read_config(config)
-            if simulators is not None:
-                settings = change_simulators(settings, simulators)
-            result = train_run(settings, out=folder, display=display, video=video)
-        typer.echo(result.summary())
-        return
-    if task is None:
-        raise UserError("no task given; name one with --task, or a stopped run with --resume")
-    until = _success_threshold(until_success)
-    with told_when_interrupted(folder):
-        from iher_robot.training.train import train as train_run
-
-        result = train_run(
-            task=task,
-            driver=driver,
-            robot=robot,
-            connect=connect or (),
-            preset=preset,
-            algo=algo,
-            budget_minutes=budget_minutes,
-            overrides=overrides or (),
-            seed=seed,
-            out=folder,
-            until_success=until,
-            device=device,
-            asynchronous=asynchronous,
-            simulators=simulators,
-            display=display,
-            video=video,
-            from_data=from_data or (),
-        )
+            result = train_run(
+                task=task,
+                driver=driver,
+                robot=robot,
+                connect=connect or (),
+                preset=preset,
+                algo=algo,
+                budget_minutes=budget_minutes,
+                overrides=overrides or (),
+                seed=seed,
+                out=folder,
+                until_success=until,
+                device=device,
+                asynchronous=asynchronous,
+                simulators=simulators,
+                display=display,
+                video=video,
+                from_data=from_data or (),
+            )
     typer.echo(result.summary())
+
+
+def _resume(folder: Path, *, simulators: int | None, display: bool, video: bool) -> TrainResult:
+    with told_when_interrupted(folder):
+        from iher_robot.training.train import resume
+
+        return resume(folder, simulators=simulators, display=display, video=video)
+
+
+def _train_config(
+    config: Path, folder: Path | None, *, simulators: int | None, display: bool, video: bool
+) -> TrainResult:
+    with told_when_interrupted(folder):
+        from iher_robot.config.run import change_simulators, read_config
+        from iher_robot.training.train import train
+
+        settings = read_config(config)
+        if simulators is not None:
+            settings = change_simulators(settings, simulators)
+        return train(settings, out=folder, display=display, video=video)
 
 
 def _success_threshold(text: str) -> float | None:

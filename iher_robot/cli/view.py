@@ -14,11 +14,11 @@ from iher_robot.cli.options import AcceptInterfaceOption, DriverOption, RobotOpt
 def view(
     task: Annotated[
         str | None,
-        typer.Option(help="What is shown, by default what the policy is for.", show_default=False),
+        typer.Option(help="Task to show, by default that of the policy.", show_default=False),
     ] = None,
     policy: Annotated[
         Path | None,
-        typer.Option(help="What acts; without one the robot holds still.", show_default=False),
+        typer.Option(help="Policy file; without one the robot holds still.", show_default=False),
     ] = None,
     driver: DriverOption = None,
     robot: RobotOption = None,
@@ -31,7 +31,7 @@ def view(
     ] = None,
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
-    """Watch a task in MuJoCo's viewer, in real time; needs a display."""
+    """Show a task in MuJoCo's viewer, in real time; needs a display."""
     with told_when_interrupted(None):
         from iher_robot.evaluation.view import view as view_task
 

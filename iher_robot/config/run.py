@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -16,25 +16,13 @@ from iher_robot.config.layers import (
     algorithm_layer,
     is_yaml_file,
     option_layer,
-    override_layer,
     preset_layer,
 )
-from iher_robot.config.robot import ChosenRobot, choose_robot
+from iher_robot.config.robot import ChosenRobot
 from iher_robot.config.yaml import format_yaml, parse_mapping
 from iher_robot.errors import UserError
 from iher_robot.learning.config import OR_OFF, LearnerConfig
 from iher_robot.storage.files.atomic import read_file
-from tasks import canonical_name
-
-_CHOSEN = {
-    "task": "--task",
-    "preset": "--preset",
-    "algo": "--algo",
-    "robot": "--robot",
-    "robot_options": "--robot",
-    "from_data": "--from-data",
-}
-
 
 _CHANGES_NOTHING = ("simulators",)
 """Settings that do not affect the numbers of a run; a resumed run may change them."""
@@ -105,121 +93,6 @@ class RunConfig(_Section):
 _KEYS = Keys(RunConfig)
 
 
-class RunOptions(TypedDict, total=False):
-    """Options of a new run, as ``iher-robot train`` takes them; an absent one is the preset's."""
-
-    preset: str
-    """Name of a preset, or the path of a YAML file; ``default`` where absent."""
-    algo: str
-    """Name of an algorithm; ``iher`` where absent."""
-    overrides: Sequence[str]
-    """``key=value`` each, such as ``learner.ddpg.gamma=0.95``."""
-    driver: str | None
-    """Name of the robot driver; by default what the robot's file names, or ``mujoco``."""
-    robot: str | None
-    """Name of a shipped robot or of one on the network, or the path of a YAML file; the driver's
-    default where None."""
-    connect: Sequence[str]
-    """Where to reach a robot on the network; what its file says where empty."""
-    from_data: Sequence[str | Path]
-    """Folders of earlier runs of the same task and robot, whose real episodes cost nothing."""
-    budget_minutes: float | None
-    """Robot minutes to spend."""
-    seed: int
-    """Decides every random draw."""
-    device: str
-    """Where replay, models and policy live: ``auto``, ``cpu`` or ``cuda``."""
-    until_success: float | None
-    """Stop when the last two evaluations reach this rate; None never stops."""
-    asynchronous: bool | None
-    """Learn in a process of its own while the robot moves."""
-    simulators: int | None
-    """Simulated robots in parallel."""
-
-
-# Settings that have an option of their own; None is a value of one of them.
-_OPTIONS = (
-    "seed",
-    "device",
-    "until_success",
-    "driver",
-    "asynchronous",
-    "simulators",
-    "budget_minutes",
-)
-
-
-def load_config(task: str, **options: Unpack[RunOptions]) -> RunConfig:
-    """Resolve the settings of a new run; later layers win.
-
-    Args:
-        task: Name of the task.
-        options: Options of the run; errors name the option of the command line.
-
-    Returns:
-        Typed defaults, then the preset's file for the task, the algorithm's, the options and the
-        overrides.
-
-    Raises:
-        UserError: An unknown name or key, or a value out of range; or a file is not valid YAML.
-    """
-    check_options("load_config", options)
-    task = canonical_name(task)
-    preset, algo = options.get("preset", "default"), options.get("algo", "iher")
-    layers = [
-        preset_layer(preset, task),
-        algorithm_layer(algo),
-        *_option_layers(options),
-        *map(override_layer, options.get("overrides", ())),
-    ]
-    for layer in layers:
-        for key, option in _CHOSEN.items():
-            if key in layer.values:
-                raise UserError(f"{layer.origin}: {key} cannot be set there, use {option}")
-    from_data = _folders(options.get("from_data", ()))
-    given = {"task": task, "preset": preset, "algo": algo, "from_data": from_data}
-    chosen = Layer("command line", given)
-    # Any layer may name the driver, and the driver says which robot is the default. Where none
-    # does, the robot's file may.
-    resolved = _resolve([*layers, chosen])
-    named = any("driver" in layer.values for layer in layers)
-    chosen_robot = choose_robot(
-        resolved.driver if named else None, options.get("robot"), options.get("connect", ())
-    )
-    settings = {
-        "driver": chosen_robot.driver,
-        "robot": chosen_robot.name,
-        "robot_options": chosen_robot.options,
-    }
-    return _resolve([*layers, chosen, Layer(f"robot {chosen_robot.name}", settings)])
-
-
-def check_options(function: str, options: RunOptions) -> None:
-    """Refuse options that a run does not have, as Python refuses unknown keyword arguments.
-
-    Raises:
-        TypeError: There is one.
-    """
-    for name in options:
-        if name not in RunOptions.__annotations__:
-            raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
-
-
-def _option_layers(options: RunOptions) -> Iterator[Layer]:
-    values: Mapping[str, object] = options
-    for key in _OPTIONS:
-        if key in values and (values[key] is not None or key == "until_success"):
-            yield option_layer(key, values[key])
-
-
-def _folders(sources: Sequence[str | Path]) -> list[str]:
-    folders = [str(Path(source).resolve()) for source in sources]
-    for folder in folders:
-        if folders.count(folder) > 1:
-            raise UserError(f"--from-data names {folder} twice; name each folder once")
-    return folders
-
-
 def dump_config(config: RunConfig) -> str:
     """Write every setting as YAML, for ``read_config``."""
     return format_yaml(config.model_dump(mode="json"))
@@ -246,7 +119,7 @@ def change_simulators(config: RunConfig, simulators: int) -> RunConfig:
         UserError: It is out of range.
     """
     given = Layer("settings of the run", config.model_dump(mode="json"))
-    return _resolve([given, option_layer("simulators", simulators)])
+    return resolve([given, option_layer("simulators", simulators)])
 
 
 def read_config(path: Path) -> RunConfig:
@@ -265,7 +138,7 @@ def read_config(path: Path) -> RunConfig:
             f"{path} has no {missing[0]}: it is damaged, or from another version of iher-robot; "
             "restore it as it was, or start a new run"
         )
-    config = _resolve([layer])
+    config = resolve([layer])
     try:
         algorithm_layer(config.algo)
         if not is_yaml_file(config.preset):  # a user's file may be gone; all its values are here
@@ -275,7 +148,12 @@ def read_config(path: Path) -> RunConfig:
     return config
 
 
-def _resolve(layers: Sequence[Layer]) -> RunConfig:
+def resolve(layers: Sequence[Layer]) -> RunConfig:
+    """Merge layers; later ones win.
+
+    Raises:
+        UserError: An unknown key, or a value out of range, with its origin.
+    """
     values: dict[str, Any] = {}
     origins: dict[str, Layer] = {}
     for layer in layers:

@@ -1,4 +1,4 @@
-"""Run a policy on the configured robot: the application behind ``iher-robot deploy``."""
+"""Deploy a policy on a robot: the application behind ``iher-robot deploy``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from iher_robot.config.robot import choose_own_robot
 from iher_robot.deployment.log import EpisodeRecord
-from iher_robot.deployment.preflight import make_plan
+from iher_robot.deployment.robot_checks import check_speed
 from iher_robot.deployment.session import Deployment
 from iher_robot.env.operator import Ask, Operator
 from iher_robot.errors import UserError
@@ -26,15 +26,15 @@ def _print(line: str) -> None:
 
 @dataclass(frozen=True)
 class DeployResult:
-    """What a policy did on a robot.
+    """Result of a deployment.
 
     Attributes:
         task: The task.
-        environment: Where it ran.
-        episodes: What became of each episode; none after a dry run.
-        control_period_s: Time of a control tick.
-        warnings: What differs between the policy's robot and this one, and was accepted.
-        directory: The folder of the log; None after a dry run.
+        environment: Name of the robot.
+        episodes: Record of each episode; empty after a dry run.
+        control_period_s: Duration of a control tick, s.
+        warnings: Accepted differences between the policy's robot and this one.
+        directory: Folder of the log; None after a dry run.
     """
 
     task: str
@@ -46,7 +46,7 @@ class DeployResult:
 
     @property
     def successes(self) -> int:
-        """Episodes that succeeded, the operator's judgement first."""
+        """Successful episodes; the operator's label overrides the task's result."""
         return sum(record.success for record in self.episodes)
 
     @property
@@ -56,12 +56,12 @@ class DeployResult:
 
     @property
     def ticks(self) -> int:
-        """Control ticks of motion, resets left out."""
+        """Control ticks of motion, without resets."""
         return sum(record.ticks for record in self.episodes)
 
     @property
     def robot_minutes(self) -> float:
-        """Robot minutes of motion, resets left out."""
+        """Robot minutes of motion, without resets."""
         return self.ticks * self.control_period_s / 60.0
 
     def summary(self) -> str:
@@ -76,10 +76,10 @@ class DeployResult:
         )
         lines = [done]
         if any(record.operator_success is not None for record in self.episodes):
-            judged = sum(record.task_success for record in self.episodes)
-            lines.append(f"labels  the task itself judged {judged} of {count} successful")
+            task_successes = sum(record.task_success for record in self.episodes)
+            lines.append(f"labels  {task_successes} of {count} succeeded according to the task")
         if self.aborted:
-            lines.append(f"aborted {self.aborted} of {count}, which count as failures")
+            lines.append(f"aborted {self.aborted} of {count}, counted as failures")
         lines.append(f"log     {self.directory}: done, {count} episodes, {self.ticks} ticks")
         return "\n".join(lines)
 
@@ -103,47 +103,46 @@ def deploy(
     ask: Ask | None = None,
     echo: Echo = _print,
 ) -> DeployResult:
-    """Check, ask, and run a policy on a robot; the robot is left held and disarmed.
+    """Check, confirm, and run a policy on a robot; the robot is left held and disarmed.
 
-    An episode has the more ticks the slower the robot may be. Success counts at its last step.
+    Episodes have more ticks at lower speed. Success is evaluated at the last step.
 
     Args:
         policy: The policy file.
-        driver: Name of the robot driver; by default what the robot's file names, or ``zenoh``.
-        robot: Name of a robot, or the path of a YAML file. Where neither driver nor robot is
-            given: ``robot.yaml`` in this folder if there is one, else ``fetch`` on the network.
-        connect: Where to reach a robot on the network; what its file says, or this machine,
-            where empty.
-        task: The task that the policy is expected to be for; any where None.
-        episodes: How many episodes.
+        driver: Name of the robot driver; by default that of the robot's file, or ``zenoh``.
+        robot: Name of a robot, or the path of a YAML file. With neither driver nor robot:
+            ``robot.yaml`` in the working directory if it exists, else ``fetch`` on the network.
+        connect: Endpoints of a robot on the network; if empty, those of its file, or this machine.
+        task: Expected task of the policy; None for any.
+        episodes: Number of episodes.
         speed: Share of full speed, above 0 and up to 1.
-        seed: Decides starts and goals; those of ``evaluate`` with the same seed.
-        dry_run: Check and print, and move nothing.
-        yes: Start without a question.
+        seed: Seed of starts and goals; ``evaluate`` with the same seed has the same ones.
+        dry_run: Check and print; nothing moves.
+        yes: Start without confirmation.
         label: Ask the operator after each episode whether it succeeded.
-        out: Folder to make for the log; by default a new one under ``deployments``.
+        out: Folder to create for the log; by default a new one under ``deployments``.
         accept_body: Run a policy that was trained on another body.
-        accept_interface: Run one for another interface, on a simulated robot.
+        accept_interface: Run a policy for another interface, on a simulated robot.
         ask: Asks the operator; the terminal by default.
         echo: Prints a line; to standard output by default.
 
     Returns:
-        What the policy did.
+        The result.
 
     Raises:
-        UserError: Bad input, or a robot that may not or could not go on; the message says what
-            is in the log.
+        UserError: Bad input, or a robot that may not start or cannot continue; the message
+            summarises the log.
         DriverError: The robot cannot be reached; nothing has moved.
     """
     operator = Operator(ask)
-    _check_input(episodes=episodes, speed=speed, seed=seed)
+    _check_numbers(episodes=episodes, speed=speed, seed=seed)
     if not (dry_run or operator.present):
-        _require_script(yes=yes, label=label)
+        _check_unattended(yes=yes, label=label)
     deployment = Deployment(
         trained=load_trained_policy(policy, task),
         robot=choose_own_robot(driver, robot, connect),
         operator=operator,
-        say=echo,
+        echo=echo,
         episodes=episodes,
         speed=speed,
         seed=seed,
@@ -151,15 +150,7 @@ def deploy(
         label=label,
     )
     with deployment.connected() as env:
-        plan = make_plan(
-            deployment.trained,
-            env,
-            deployment.robot,
-            episodes=episodes,
-            speed=speed,
-            accept_body=accept_body,
-            accept_interface=accept_interface,
-        )
+        plan = deployment.plan(env, accept_body=accept_body, accept_interface=accept_interface)
         echo(plan.text())
         plan.require_no_refusal()
         log = None
@@ -176,20 +167,19 @@ def deploy(
     )
 
 
-def _check_input(*, episodes: int, speed: float, seed: int) -> None:
+def _check_numbers(*, episodes: int, speed: float, seed: int) -> None:
     if episodes < 1:
         raise UserError(f"episodes is {episodes}, allowed: 1 or more")
     if seed < 0:
         raise UserError(f"seed is {seed}, allowed: 0 or more")
-    if not 0.0 < speed <= 1.0:
-        raise UserError(f"speed is {speed}, allowed: above 0 and up to 1, a share of full speed")
+    check_speed(speed)
 
 
-def _require_script(*, yes: bool, label: bool) -> None:
+def _check_unattended(*, yes: bool, label: bool) -> None:
     if not yes:
         raise UserError(
-            "there is no terminal to ask whether to start; start it in one, or with --yes, or see "
-            "what it would do with --dry-run"
+            "there is no terminal to confirm the start; use one, or --yes, or --dry-run to check "
+            "only"
         )
     if label:
-        raise UserError("there is no terminal to ask for labels; leave out --label")
+        raise UserError("there is no terminal for labels; leave out --label")

@@ -1,4 +1,4 @@
-"""Find out how a robot and the link to it are: the application behind ``iher-robot doctor``."""
+"""Examine a robot and the link to it: the application behind ``iher-robot doctor``."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _LISTENING_S = 2.0
 
 @dataclass(frozen=True)
 class Report:
-    """What was found.
+    """Result of an examination.
 
     Attributes:
-        title: The robot in words.
-        facts: What it is and does, by name, in words.
-        findings: What is wrong, each with what to do.
-        measured: The same in numbers, as plain JSON data.
+        title: Name of the robot, and where it is reached.
+        facts: Specification and state as text, by name.
+        findings: A sentence per problem, with what to do.
+        measured: The measurements as plain JSON data.
     """
 
     title: str
@@ -40,29 +40,29 @@ class Report:
     measured: Mapping[str, Any]
 
     def text(self) -> str:
-        """The report for a person."""
+        """The report as text."""
         width = max(map(len, self.facts), default=0)
         lines = [f"{name:{width}}  {fact}" for name, fact in self.facts.items()]
         problems = [f"problem: {finding}" for finding in self.findings] or ["nothing is wrong"]
         return "\n".join([self.title, *lines, "", *problems])
 
     def to_dict(self) -> dict[str, Any]:
-        """The report for a script, as plain JSON data."""
+        """The report as plain JSON data."""
         return {"title": self.title, "findings": list(self.findings), **self.measured}
 
 
 def doctor(robot: ChosenRobot) -> Report:
-    """Measure and look; of a robot on the network, or a physical one, nothing moves.
+    """Examine a robot; a physical one, or one on the network, does not move.
 
     Args:
         robot: The robot.
 
     Raises:
-        UserError: Bad input, or a simulated robot that cannot be brought home.
+        UserError: Bad input, or a simulated robot that does not reach home.
         DriverError: It cannot be reached.
     """
     remote = robot.driver == REMOTE_DRIVER
-    examined = _examine_remote(robot) if remote else _examine_here(robot)
+    examined = _examine_remote(robot) if remote else _examine_local(robot)
     title = robot.title
     if remote:
         link = link_of(robot)
@@ -81,11 +81,11 @@ def _examine_remote(robot: ChosenRobot) -> Examination:
         before = read_status(client)
         reply = client.request("spec", SpecRequest(), options.reset_timeout_s)
         spec = read_spec(reply.result["spec"])
-        heard = listen_to_states(client, spec)
+        listener = listen_to_states(client, spec)
         threading.Event().wait(_LISTENING_S)
         resets = before.total_ticks.get("reset", 0)
         after = read_status(client)
-        states = heard.result(skipped=after.total_ticks.get("reset", 0) - resets)
+        states = listener.result(skipped=after.total_ticks.get("reset", 0) - resets)
         link = measure_link(client, _PINGS)
         status = read_status(client)
     overruns = max(0, status.tick_overruns - before.tick_overruns)
@@ -100,7 +100,7 @@ def _examine_remote(robot: ChosenRobot) -> Examination:
     )
 
 
-def _examine_here(robot: ChosenRobot) -> Examination:
+def _examine_local(robot: ChosenRobot) -> Examination:
     with make_robot(robot) as driver:
         homed = not driver.spec.physical and driver.fault is None
         if homed:

@@ -23,7 +23,7 @@ from iher_robot.rollout.observer import (
 )
 from iher_robot.storage.episode import DONE
 
-_UNKNOWN_OUTCOME = dict.fromkeys(
+_NO_OUTCOME = dict.fromkeys(
     (
         "seq",
         "applied",
@@ -45,13 +45,13 @@ _UNKNOWN_OUTCOME = dict.fromkeys(
 
 
 class DeploymentRecorder(DurableRecorder):
-    """Durable record of a deployed episode, which begins at home or not at all."""
+    """Durable recorder of a deployed episode, which must begin at home."""
 
     def start(self, start: EpisodeStart) -> None:
         """Check that the reset brought the robot home, and begin the record.
 
         Raises:
-            ResetFailed: The robot is elsewhere.
+            ResetFailed: The robot is not at home.
         """
         assert isinstance(start.env, GoalRobotEnv)
         assert start.env.state is not None, "a reset that returns leaves a state"
@@ -60,15 +60,15 @@ class DeploymentRecorder(DurableRecorder):
 
 
 class TickLogger(EpisodeObserver):
-    """Writes a line for each tick, the one in flight included.
+    """Writes a log line for each tick, including one that an error ended.
 
     Args:
         env: The robot.
-        log: Where the lines go.
+        log: The log.
         record: Record of the episode.
 
     Attributes:
-        lost: The error of a robot that was lost in the episode, None otherwise.
+        lost: The driver error that ended the episode; None without one.
     """
 
     def __init__(self, env: GoalRobotEnv, log: DeploymentLog, record: EpisodeRecord) -> None:
@@ -77,16 +77,16 @@ class TickLogger(EpisodeObserver):
         self._record = record
         self._tick = 0
         self._line: dict[str, Any] | None = None
-        self._turned = self._chosen = 0.0
+        self._tick_start = self._action_time = 0.0
         self.lost: DriverError | None = None
 
     def start(self, start: EpisodeStart) -> None:  # noqa: ARG002
         """Start the clock of the first action."""
-        self._turned = time.perf_counter()
+        self._tick_start = time.perf_counter()
 
     def before_tick(self, observation: Observation, action: Action) -> None:
         """Begin the line of a tick."""
-        self._chosen = time.perf_counter()
+        self._action_time = time.perf_counter()
         self._tick += 1
         self._line = {
             "episode": self._record.episode,
@@ -95,20 +95,20 @@ class TickLogger(EpisodeObserver):
             "requested": action,
             "observation": observation["observation"],
             "desired_goal": observation["desired_goal"],
-            "policy_ms": 1e3 * (self._chosen - self._turned),
-            **_UNKNOWN_OUTCOME,
+            "policy_ms": 1e3 * (self._action_time - self._tick_start),
+            **_NO_OUTCOME,
         }
 
     def after_tick(self, transition: Transition) -> None:
         """Write the line of a tick with its outcome."""
-        step_ms = 1e3 * (time.perf_counter() - self._chosen)
+        step_ms = 1e3 * (time.perf_counter() - self._action_time)
         self._write({"step_ms": step_ms} | self._outcome(transition))
-        self._turned = time.perf_counter()
+        self._tick_start = time.perf_counter()
 
     def abort(self, error: EpisodeAborted) -> None:
         """Write the line of the tick that failed."""
         self._write({"error": describe(error)})
-        if isinstance(error.__cause__, DriverError):  # the link or the lease, not the episode
+        if isinstance(error.__cause__, DriverError):  # link or lease lost: no further episode
             self.lost = error.__cause__
 
     def end(self, error: BaseException | None) -> None:
@@ -155,16 +155,16 @@ def run_deployed_episode(
     Args:
         env: The robot, open.
         trained: The policy.
-        log: Takes every tick, the one in flight included.
+        log: Receives every tick, including one that an error ends.
         recorder: Stores and charges every tick.
-        seed: Decides start and goal.
-        ticks: Most ticks to charge.
+        seed: Seed of start and goal.
+        ticks: Maximal number of ticks to charge.
 
     Returns:
-        The record of the episode; also in the log, whatever this raises.
+        The record of the episode; it is in the log after an error too.
 
     Raises:
-        UserError: The robot did not get home.
+        UserError: The robot did not reach home.
         DriverError: The robot was lost.
     """
     record = log.begin_episode(seed)

@@ -1,4 +1,4 @@
-"""The folder of a deployment: what it was, and every control tick of it."""
+"""Log of a deployment: its settings and results, and a line for every control tick."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ RUNNING = "running"
 
 @dataclass
 class EpisodeRecord:
-    """What became of an episode.
+    """Record of an episode.
 
     Attributes:
         episode: Number, from 1.
-        seed: Decided start and goal.
-        ticks: Control ticks charged; the one in flight counts, since the robot may have moved.
-        success: Whether it succeeded: the operator's judgement, else the task's.
-        task_success: Whether the last step met the goal; never so in an episode that ended early.
-        operator_success: What the operator said, None if nothing.
+        seed: Seed of start and goal.
+        ticks: Control ticks charged, including an unfinished one: the robot may have moved.
+        success: Whether it succeeded: the operator's label, else the task's result.
+        task_success: Whether the last step met the goal; False in an episode that ended early.
+        operator_success: The operator's label, None without one.
         ended: ``"done"``, or why it ended early.
     """
 
@@ -52,14 +52,14 @@ class EpisodeRecord:
 
 
 class DeploymentLog:
-    """Writes ``deployment.json`` and ``ticks.jsonl``; make one by ``create``.
+    """Writes ``deployment.json`` and ``ticks.jsonl``; created by ``create``.
 
-    A tick's line is with the system before the next tick begins, so that it survives a crash of
-    this program; it is on the disk when its episode has ended.
+    The line of a tick is flushed before the next tick begins, so that it survives a crash of this
+    process; it is synced to disk when its episode ends.
 
     Args:
-        path: The folder, which exists.
-        header: What the deployment is, plain values.
+        path: An existing folder.
+        header: Metadata of the deployment, plain values.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
@@ -76,14 +76,14 @@ class DeploymentLog:
 
     @classmethod
     def create(cls, path: Path, header: Mapping[str, Any]) -> DeploymentLog:
-        """Make the folder.
+        """Create the folder.
 
         Args:
             path: A folder that does not exist yet, or is empty.
-            header: What the deployment is, plain values.
+            header: Metadata of the deployment, plain values.
 
         Raises:
-            UserError: The folder holds something, is a file, or cannot be written.
+            UserError: The folder is not empty, is a file, or cannot be written.
         """
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -92,8 +92,8 @@ class DeploymentLog:
             return cls(path, header)
         except OSError as error:
             raise UserError(
-                f"cannot make deployment folder {path}: {error.strerror or error}; choose another "
-                "with --out"
+                f"cannot create deployment folder {path}: {error.strerror or error}; choose "
+                "another with --out"
             ) from error
 
     def __enter__(self) -> Self:
@@ -115,20 +115,20 @@ class DeploymentLog:
         """Start the record of an episode.
 
         Args:
-            seed: Decides start and goal.
+            seed: Seed of start and goal.
         """
         record = EpisodeRecord(len(self.episodes) + 1, seed)
         self.episodes.append(record)
         return record
 
     def tick(self, values: Mapping[str, Any]) -> None:
-        """Add the line of a tick; numbers that are not finite become null.
+        """Add the line of a tick; non-finite numbers become null.
 
         Args:
             values: Scalars, text, and arrays.
 
         Raises:
-            UserError: The system refuses, such as on a full disk.
+            UserError: The line cannot be written, such as on a full disk.
         """
         line = json.dumps({name: _plain(value) for name, value in values.items()}, allow_nan=False)
         try:
@@ -139,10 +139,10 @@ class DeploymentLog:
         self.lines += 1
 
     def sync(self) -> None:
-        """Put everything so far on the disk.
+        """Sync everything so far to disk.
 
         Raises:
-            UserError: The system refuses.
+            UserError: The file cannot be written.
         """
         try:
             self._file.flush()
@@ -152,7 +152,7 @@ class DeploymentLog:
         self._write_document()
 
     def summary(self) -> str:
-        """What is in the log, in a few words."""
+        """Short summary of the log."""
         count, ticks = len(self.episodes), "tick" if self.lines == 1 else "ticks"
         successes = sum(record.success for record in self.episodes)
         return f"{successes} of {count} episodes succeeded, {self.lines} {ticks} in {self.path}"
@@ -170,11 +170,11 @@ class DeploymentLog:
 
 
 def default_deployment_path(task: str, now: datetime | None = None) -> Path:
-    """Name of a folder if none is given, such as ``deployments/20250131T120000Z-push``.
+    """Default folder, such as ``deployments/20250131T120000Z-push``.
 
     Args:
         task: Name of the task.
-        now: When it starts, by default at this moment.
+        now: Time of the start; the current time by default.
     """
     moment = (now or datetime.now(UTC)).astimezone(UTC)
     return Path("deployments") / f"{moment:%Y%m%dT%H%M%SZ}-{task}"
@@ -185,7 +185,7 @@ def file_digest(path: Path, kind: str) -> str:
 
     Args:
         path: The file.
-        kind: What it is, for the message.
+        kind: Kind of file, for the message.
 
     Raises:
         UserError: It cannot be read.

@@ -1,4 +1,4 @@
-"""The episodes of a policy on a robot, and what is said of whatever ends them."""
+"""Deployment session: connect, confirm, run and log the episodes."""
 
 from __future__ import annotations
 
@@ -7,94 +7,51 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers import DriverError
-from drivers.closing import Closing
 from iher_robot.config.robot import ChosenRobot
-from iher_robot.deployment.episode import DeploymentRecorder, run_deployed_episode
+from iher_robot.deployment.episode import run_deployed_episode
 from iher_robot.deployment.log import (
     DeploymentLog,
     EpisodeRecord,
     default_deployment_path,
     file_digest,
 )
-from iher_robot.deployment.preflight import DeploymentPlan, deployed_ticks, fault_sentence
+from iher_robot.deployment.preflight import DeploymentPlan, make_plan
+from iher_robot.deployment.preflight_checks import deployed_ticks
+from iher_robot.deployment.robot_checks import fault_sentence
+from iher_robot.deployment.store import DeploymentStore
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import TrainedPolicy
 from iher_robot.rollout.episode import Stream, episode_seed
-from iher_robot.rollout.timing import IdleMeter
-from iher_robot.storage.episode import EpisodeHeader
-from iher_robot.storage.episode_store import EpisodeStore
-from iher_robot.storage.interface import keep_interface
-from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import collect_provenance
-
-
-class KeptEpisodes(Closing):
-    """Data and accounts of a deployment, in its folder, as a run has them.
-
-    Args:
-        path: The folder.
-        env: The robot.
-    """
-
-    def __init__(self, path: Path, env: GoalRobotEnv) -> None:
-        directory = path / "episodes"
-        keep_interface(directory, env.policy_interface())
-        self._env = env
-        self._ledger = Ledger(path / "ledger.sqlite")
-        self._store = EpisodeStore(directory, durable_ticks=True)
-        self.idle = IdleMeter(env.driver, self._ledger)
-
-    def recorder(self, seed: int, ticks: int) -> DeploymentRecorder:
-        """What keeps and counts the ticks of the next episode.
-
-        Args:
-            seed: Decides start and goal.
-            ticks: Most ticks that it will have.
-        """
-        self.idle.end()
-        return DeploymentRecorder(
-            self._env,
-            self._store,
-            partial(self._ledger.reserve, "deployment", ticks, counted=True),
-            self._ledger,
-            lambda source, entry: EpisodeHeader(0, source, "deployment", seed, entry),
-        )
-
-    def close(self) -> None:
-        """Write down what is open; closing twice does nothing."""
-        self.idle.end()
-        self._store.close()
-        self._ledger.close()
 
 
 @dataclass
 class Deployment:
-    """A policy, a robot and an operator.
+    """Session of a policy, a robot and an operator.
 
     Attributes:
         trained: The policy.
         robot: The robot.
-        operator: Who confirms, helps and labels.
-        say: Prints a line.
-        episodes: How many episodes.
+        operator: Confirms the start, helps with resets and labels episodes.
+        echo: Prints a line.
+        episodes: Number of episodes.
         speed: Share of full speed, in (0, 1].
-        seed: Decides starts and goals.
-        yes: Never ask whether to start or to go on.
+        seed: Seed of starts and goals.
+        yes: Start and continue without confirmation.
         label: Ask after each episode whether it succeeded.
-        log: What was logged; None before anything moves.
+        log: The log; None before anything moves.
     """
 
     trained: TrainedPolicy
     robot: ChosenRobot
     operator: Operator
-    say: Callable[[str], None]
+    echo: Callable[[str], None]
     episodes: int
     speed: float
     seed: int
@@ -104,14 +61,14 @@ class Deployment:
 
     @contextmanager
     def connected(self) -> Iterator[GoalRobotEnv]:
-        """Make the robot, slow, and say of what ends it early what is in the log.
+        """Create the robot with its speed limit; errors get a summary of the log.
 
         Yields:
             The robot, not yet connected; it is left held, disarmed and disconnected.
 
         Raises:
-            UserError: Bad input, or a robot that could not go on.
-            DriverError: A robot that cannot be reached; nothing has moved.
+            UserError: Bad input, or a robot that cannot continue.
+            DriverError: The robot cannot be reached; nothing has moved.
         """
         ask_human = self.operator.help if self.operator.present else None
         try:
@@ -127,8 +84,22 @@ class Deployment:
             error.add_note(held + self.log.summary())
             raise
 
+    def plan(
+        self, env: GoalRobotEnv, *, accept_body: bool, accept_interface: bool
+    ) -> DeploymentPlan:
+        """Run the checks, see `make_plan`."""
+        return make_plan(
+            self.trained,
+            env,
+            self.robot,
+            episodes=self.episodes,
+            speed=self.speed,
+            accept_body=accept_body,
+            accept_interface=accept_interface,
+        )
+
     def require_start(self) -> None:
-        """Raise `UserError` unless somebody said that it may start."""
+        """Raise `UserError` unless the operator confirms the start, or ``--yes`` was given."""
         if not self.yes and not self.operator.confirms("Start?"):
             raise UserError("not confirmed; nothing has moved")
 
@@ -137,29 +108,29 @@ class Deployment:
 
         Args:
             env: The robot, open.
-            plan: What was checked, for the log.
-            out: Folder to make for the log; by default a new one under ``deployments``.
+            plan: Results of the checks, for the log.
+            out: Folder to create for the log; by default a new one under ``deployments``.
 
         Returns:
-            What happened.
+            The log.
 
         Raises:
-            UserError: The robot could not go on, or the log cannot be written.
+            UserError: The robot cannot continue, or the log cannot be written.
             DriverError: The robot was lost.
         """
         path = out or default_deployment_path(self.trained.task.name)
         ticks = deployed_ticks(env.episode_ticks, self.speed)
         with ExitStack() as stack:
             self.log = stack.enter_context(DeploymentLog.create(path, self._header(env, plan)))
-            kept = stack.enter_context(KeptEpisodes(path, env))
+            store = stack.enter_context(DeploymentStore(path, env))
             for index in range(self.episodes):
                 seed = episode_seed(self.seed, Stream.FINAL_EVALUATION, index)
-                recorder = kept.recorder(seed, ticks)
+                recorder = store.recorder(seed, ticks)
                 record = run_deployed_episode(
                     env, self.trained, self.log, recorder, seed=seed, ticks=ticks
                 )
-                kept.idle.begin()
-                self._judge(record)
+                store.idle.begin()
+                self._finish(record)
                 fault = fault_sentence(env.driver)
                 if fault is not None:
                     raise UserError(fault)
@@ -168,7 +139,8 @@ class Deployment:
                     break
             return self.log
 
-    def _judge(self, record: EpisodeRecord) -> None:
+    def _finish(self, record: EpisodeRecord) -> None:
+        """Ask for the operator's label and print the outcome."""
         if self.label and not record.aborted:
             record.operator_success = self.operator.label(record.task_success)
             if record.operator_success is not None:
@@ -176,7 +148,7 @@ class Deployment:
         outcome = "success" if record.success else "failure"
         if record.aborted:
             outcome = record.ended
-        self.say(f"episode {record.episode} of {self.episodes}: {outcome}, {record.ticks} ticks")
+        self.echo(f"episode {record.episode} of {self.episodes}: {outcome}, {record.ticks} ticks")
 
     def _header(self, env: GoalRobotEnv, plan: DeploymentPlan) -> dict[str, Any]:
         robot, spec = self.robot, env.robot_spec

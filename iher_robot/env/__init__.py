@@ -1,4 +1,4 @@
-"""Gymnasium goal environment, its controllers and the assisted reset."""
+"""Gymnasium goal environment, its controllers, and the operator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Room between the arm and what it must keep out of, as a limit of the inverse kinematics."""
+"""Clearance limit of the inverse kinematics: distance to keep-out boxes and workspace sides."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from drivers.region import Region
 Array = NDArray[np.float64]
 
 APPROACH_GAIN = 0.45
-"""Share of the room to a limit that a tick may use up: enough is left to brake in."""
+"""Share of the remaining distance that a tick may use; the rest is left for braking."""
 
 _NEAR_M = 0.1  # three ticks at full speed
 _RETREAT_M = 0.003  # a tick
 
 
 class ClearanceLimit(mink.Limit):
-    """Slows what comes near a keep-out box, and the end effector near the workspace's sides.
+    """Slows points near a keep-out box, and the end effector near the workspace's sides.
 
-    Only the part of a motion that leads towards the nearest face, edge or corner is limited, so
-    that an arm slides along what a filter that scales whole motions would stop it at. Close to a
-    face its motion is a line to first order only, hence the margin; what bends into the margin
-    all the same is led out again, for at the face itself the filter would stop most motions.
+    Only the component of a motion towards the nearest face, edge or corner is limited, so that
+    the arm slides along it; a filter that scales whole motions would stop it. The motion is
+    linear to first order only, hence the margin. A point that enters the margin is moved out
+    again: at the face itself the filter would stop most motions.
 
     For each depth ``d`` of the region, with its gradient ``n`` and Jacobian ``J``:
     ``n J dq <= gain * (-d - margin)``. Compare `mink.CollisionAvoidanceLimit`.
@@ -34,14 +34,14 @@ class ClearanceLimit(mink.Limit):
     def __init__(
         self, spec: RobotSpec, kinematics: Kinematics, margin_m: float, retreats: bool
     ) -> None:
-        """Set the limit up.
+        """Create the limit.
 
         Args:
             spec: The robot.
-            kinematics: Its kinematic model, with the guarded parts.
+            kinematics: Its kinematic model, with the guarded points.
             margin_m: Distance to keep, m.
-            retreats: Whether what is inside the margin must move out; it can be more than the
-                other limits let it. Otherwise it comes no closer, and resting is a solution.
+            retreats: Whether points inside the margin must move out; this can conflict with the
+                other limits. Otherwise they come no closer, and zero motion is a solution.
         """
         self._region = Region(spec.limits)
         self._sites = kinematics.guarded_sites
@@ -52,13 +52,13 @@ class ClearanceLimit(mink.Limit):
     def compute_qp_inequalities(
         self,
         configuration: mink.Configuration,
-        dt: float,  # noqa: ARG002 - the gain is a share per tick, however long
+        dt: float,  # noqa: ARG002 - the gain is a share per tick of any length
     ) -> mink.Constraint:
-        """Return the inequalities of what is near, on the displacement of a tick.
+        """Return the inequalities of the near points, on the displacement of a tick.
 
         Args:
             configuration: The arm, of the kinematic model.
-            dt: Length of a tick, s.
+            dt: Duration of a tick, s.
         """
         model, data = configuration.model, configuration.data
         points = data.site_xpos[self._sites]

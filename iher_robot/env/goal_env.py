@@ -1,4 +1,4 @@
-"""The Gymnasium goal environment: a driver, a task and a controller."""
+"""Gymnasium goal environment: a driver, a task and a controller."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from drivers import (
 )
 from iher_robot.env.controller import Controller, make_controller
 from iher_robot.env.operator import AskHuman, reset_with_help
-from iher_robot.env.tick import InvalidTicks, Tick, judge_tick
+from iher_robot.env.tick import InvalidTicks, Tick, evaluate_tick
 from iher_robot.errors import NoSolution, UserError
 from tasks import GoalTask, make_task
 
-Observation = dict[str, Any]  # what gymnasium types a Dict space as
+Observation = dict[str, Any]  # gymnasium's type of a Dict space
 Info = dict[str, Any]
 
-_PICTURE_SIZE = (640, 480)
+_IMAGE_SIZE = (640, 480)
 _GATE_CLOSED = (Refusal.DISARMED, Refusal.LATCHED)
 _CONNECTION_ENDED = (LinkLost, LeaseRefused)
 
@@ -44,10 +44,10 @@ class ResetFailed(UserError):
 
 
 class EpisodeAborted(RuntimeError):
-    """An episode could not go on; the robot is held and disarmed. `reset` starts the next.
+    """An episode ended early; the robot is held and disarmed. `reset` starts the next.
 
     Attributes:
-        ticks: Ticks of the robot that the last step cost, at least 1.
+        ticks: Ticks of the robot in the last step, at least 1.
     """
 
     def __init__(self, message: str = "", ticks: int = 1) -> None:
@@ -56,7 +56,7 @@ class EpisodeAborted(RuntimeError):
 
 
 class LinkTooSlow(EpisodeAborted):
-    """Too many ticks were invalid, most of them because they passed unseen or came late."""
+    """Too many ticks were invalid, most of them missed or late."""
 
 
 class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
@@ -66,23 +66,23 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
     aborted episode and any error leave it held and disarmed. It is opened by the first
     `reset`, so that the spaces are known without a connection.
 
-    What a step reports in `info`:
+    Entries of a step's `info`:
 
     - ``is_success``: 1.0 if the goal is reached, else 0.0.
-    - ``tick``: The control tick as a `Tick`, with the robot's own counter; the entries that follow
+    - ``tick``: The control tick as a `Tick`, with the robot's tick counter; the following entries
       are parts of it.
-    - ``action_applied``: The action that was really applied; learn from this one. It is
-      the requested one, cut to [-1, 1], wherever nothing was clipped.
-    - ``tick_valid``: Whether the tick may be learned from. A tick that was held, dropped or
-      late is charged to the budget (``ticks``) and may not.
+    - ``action_applied``: The applied action, the one to learn from. It equals the requested one,
+      clipped to [-1, 1], where nothing else was clipped.
+    - ``tick_valid``: Whether the tick may be used for learning. A tick that was held, dropped or
+      late is not, but is charged to the budget (``ticks``).
     - ``clipped``: Why the robot clipped the command, or ``"controller"`` where the controller
-      could not ask it for all of the action.
+      could not request the full action.
     - ``refusal``: Why the command was refused, ``"no_solution"`` where the controller found
       none, or None.
 
-    A stop from outside, a lost link, or more invalid ticks than allowed, ends the episode with
+    An external stop, a lost link, or more invalid ticks than allowed end the episode with
     `EpisodeAborted`. A robot whose link or lease is lost is disconnected; the next `reset`
-    connects anew.
+    reconnects.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
@@ -96,20 +96,20 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         max_invalid_ticks: int = 5,
         ask_human: AskHuman | None = None,
     ) -> None:
-        """Put a task on a robot.
+        """Create the environment of a task on a robot.
 
         Args:
             driver: The robot, open or not.
             task: The task; it is bound to the robot here.
-            controller: Makes commands from actions; by default the one for end-effector
-                displacements.
+            controller: Converts actions to commands; by default the one for the commands that
+                the robot accepts.
             render_mode: ``"rgb_array"`` or None.
-            max_invalid_ticks: Past this many invalid ticks an episode aborts.
+            max_invalid_ticks: An episode aborts after more invalid ticks than this.
             ask_human: Called with what a person has to do; returns when it is done and hands
                 are clear. Without it a reset that needs a person is an error.
 
         Raises:
-            UserError: If the robot takes no command of the controller's kind, or cannot render.
+            UserError: If the robot does not accept the controller's commands, or cannot render.
         """
         self.driver = driver
         self.task = task.bind(driver.spec)
@@ -118,7 +118,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         )
         self._require_command_kind()
         if render_mode is not None and not isinstance(driver, Renderable):
-            raise UserError(f"driver {driver.spec.name} renders no pictures; use render_mode=None")
+            raise UserError(f"driver {driver.spec.name} renders no images; use render_mode=None")
         self.render_mode = render_mode
         self._max_invalid_ticks = max_invalid_ticks
         self.ask_human = ask_human
@@ -136,31 +136,31 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
 
     @property
     def robot_spec(self) -> RobotSpec:
-        """Description of the robot. Gymnasium keeps a specification of its own in `spec`."""
+        """Specification of the robot; `spec` is Gymnasium's specification of the environment."""
         return self.driver.spec
 
     @property
     def state(self) -> RobotState | None:
-        """What the last reset or step ended with; None while held."""
+        """State at the end of the last reset or step; None while held."""
         return self._state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Bring the robot to a new start, draw a goal from it as measured, and arm.
+        """Bring the robot to a new start, draw a goal from the measured start, and arm.
 
         Args:
-            seed: Seeds the draws of starts and goals.
-            options: None is taken.
+            seed: Seed of starts and goals.
+            options: Not used.
 
         Returns:
             The observation and an empty info.
 
         Raises:
-            ResetFailed: If the robot cannot get there, or needs a person and has none.
+            ResetFailed: If the robot cannot reach it, or needs a person and none is present.
             FaultLatched: If the robot is stopped.
             LinkLost: If a remote robot does not answer; it is disconnected.
-            LeaseRefused: If somebody else has it; it is disconnected.
+            LeaseRefused: If another client holds its lease; it is disconnected.
         """
         try:
             super().reset(seed=seed, options=options)
@@ -176,18 +176,18 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         """Run one control tick.
 
         Args:
-            action: dx, dy, dz, gripper, cut to [-1, 1]. ``(4,)``
+            action: dx, dy, dz, gripper, clipped to [-1, 1]. ``(4,)``
 
         Returns:
-            Observation, reward, terminated and truncated (never: the registered ids bring a
+            Observation, reward, terminated and truncated (always False: the registered ids add a
             time limit) and info.
 
         Raises:
             ValueError: If the action has the wrong shape.
             InvalidCommand: If the action is not finite.
             EpisodeAborted: If the robot was stopped, disarmed or lost, or too many ticks were
-                invalid. The tick that showed it counts as begun.
-            LinkTooSlow: If most of these ticks passed unseen or came late.
+                invalid. The last tick is charged.
+            LinkTooSlow: If most of these ticks were missed or late.
         """
         try:
             after, tick = self._run_tick(action)
@@ -201,7 +201,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             aborted = EpisodeAborted(f"episode on {self.robot_spec.name} aborted: {error}")
             self._after(aborted, self.close)
             raise aborted from error
-        except BaseException as error:  # the task's or the caller's, too: no next tick would come
+        except BaseException as error:  # also errors of task and caller: no next tick would come
             self.hold(after=error)
             raise
 
@@ -209,7 +209,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         self,
         achieved_goal: NDArray[np.floating],
         desired_goal: NDArray[np.floating],
-        info: object,  # noqa: ARG002 - part of the interface of a goal environment
+        info: object,  # noqa: ARG002 - Gymnasium's interface
     ) -> NDArray[np.floating]:
         """Return the sparse reward; leading axes are a batch.
 
@@ -224,7 +224,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         return self.task.goal_model.compute_reward(achieved_goal, desired_goal)
 
     def policy_interface(self) -> dict[str, Any]:
-        """Return what a policy file must carry to be run again, as plain JSON data."""
+        """Return the interface that a policy file stores, as plain JSON data."""
         spec = self.robot_spec
         return {
             "task": self.task.name,
@@ -237,7 +237,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         }
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture with the goal, which turns green once reached; None without a mode."""
+        """Return an image with the goal, green once reached; None without a render mode."""
         if self.render_mode is None:
             return None
         assert isinstance(self.driver, Renderable)
@@ -245,14 +245,14 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         if self._state is not None:
             achieved = self.task.goal_model.achieved_goal(self.task.observation(self._state))
             reached = self.task.is_success(achieved, self._goal)
-        return self.driver.render(*_PICTURE_SIZE, goal=self._goal, reached=reached)
+        return self.driver.render(*_IMAGE_SIZE, goal=self._goal, reached=reached)
 
     def hold(self, after: BaseException | None = None) -> None:
         """Hold and disarm, until the next `reset`.
 
         Args:
-            after: The error that is being raised, if there is one; where the robot cannot be
-                held either, it gets a note and stays the one that is raised.
+            after: The error being raised, if any; if holding fails too, it gets a note and is
+                still the one raised.
         """
         self._state = None
         if after is None:
@@ -268,14 +268,14 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
     def _after(self, error: BaseException, cleanup: Callable[[], None]) -> None:
         try:
             cleanup()
-        except Exception as failure:  # noqa: BLE001 - the error that came first is the one raised
+        except Exception as failure:  # noqa: BLE001 - the first error is raised
             error.add_note(f"{self.robot_spec.name} could not be held either: {failure!r}")
 
     def _require_command_kind(self) -> None:
         if self.controller.kind not in self.robot_spec.command_kinds:
             raise UserError(
                 f"the controller makes {self.controller.kind!r} commands, "
-                f"{self.robot_spec.name} takes: {', '.join(self.robot_spec.command_kinds)}"
+                f"{self.robot_spec.name} accepts: {', '.join(self.robot_spec.command_kinds)}"
             )
 
     def _begin_episode(self) -> Observation:
@@ -299,7 +299,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             raise ValueError(
                 f"action has shape {np.shape(action)}, allowed: {self.action_space.shape}"
             )
-        if not np.isfinite(action).all():  # before it is cut: infinity would become 1
+        if not np.isfinite(action).all():  # before clipping: infinity would become 1
             raise InvalidCommand(
                 f"action is {np.asarray(action).tolist()}, allowed: finite numbers"
             )
@@ -310,15 +310,15 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             acceptance = self.driver.command(self.controller.command(requested, before))
             self._held_because = ""
         except NoSolution as error:
-            self._held_because = str(error)  # a tick without a command: the robot holds
+            self._held_because = str(error)  # no command in this tick: the robot holds
         self.driver.advance()
         after = self._read_or_keep(before)
         self._state = after
-        return after, judge_tick(requested, before, after, acceptance, self.controller)
+        return after, evaluate_tick(requested, before, after, acceptance, self.controller)
 
     def _bring_to_start(self) -> None:
         request = self.task.reset_request(self.np_random)
-        # From a copy: the draws of starts and goals stay those of the reference.
+        # From a copy: starts and goals stay those of the reference.
         noise_seed = int(copy.deepcopy(self.np_random).integers(2**32))
         request = dataclasses.replace(request, seed=noise_seed)
         result = reset_with_help(self.driver, request, self.ask_human)
@@ -331,7 +331,7 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
         try:
             return self.driver.read()
         except StaleState:
-            return before  # the tick is dropped: its sequence shows that it is not a new one
+            return before  # a dropped tick: the unchanged sequence shows it
 
     def _observe(self, observation: NDArray[np.float64]) -> Observation:
         return {
@@ -354,9 +354,8 @@ class GoalRobotEnv(gym.Env[Observation, NDArray[np.floating]]):
             if self._invalid.mostly_late:
                 kind = LinkTooSlow
                 reason += (
-                    f"; in {self._invalid.late} of these {self._invalid.count} the command came "
-                    "late or ticks passed unseen: the link is too slow, measure it with: "
-                    "iher-robot doctor"
+                    f"; {self._invalid.late} of these {self._invalid.count} were late or missed: "
+                    "the link is too slow, measure it with: iher-robot doctor"
                 )
         else:
             return
@@ -377,7 +376,7 @@ def make_env(
         driver_name: Name of the driver.
         render_mode: ``"rgb_array"`` or None.
         ask_human: As for `GoalRobotEnv`.
-        driver_options: For the driver; the scene is the task's unless it is given.
+        driver_options: Options of the driver; the scene is the task's by default.
 
     Returns:
         The environment, not yet connected.

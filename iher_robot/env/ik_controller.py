@@ -1,4 +1,4 @@
-"""Inverse kinematics: from end-effector displacements to joint commands, with mink."""
+"""Inverse kinematics controller: end-effector displacements to joint commands, with mink."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ _DAMPING_COST = 0.015
 _MAX_LEAD_M = 0.04
 _MARGIN_M = 0.006
 _CLEARANCE_M = 0.005
-# Joints brake together, the torso in five ticks: what gets to its range's end stops the rest.
+# Joints brake together, the torso in five ticks: a joint at the end of its range stops the rest.
 _RANGE_GAIN = 0.2
 _OUTSIDE = 1e-6  # rad or m beyond a joint limit that rounding may cause
-_AS_ASKED = 0.02
+_SAME_ACTION = 0.02
 
 
 class JointController:
-    """Turns end-effector displacements into joint commands.
+    """Converts end-effector displacements to joint commands.
 
-    An action of 1 asks for the velocity of `ActionSpec.position_scale_m` per tick, to be
-    reached at the end of the tick. The joint velocities for it come from one step of
-    differential inverse kinematics, from the setpoint that the robot reports and never from an
-    earlier request, with the orientation of home, within the velocity limits of every joint,
-    within their ranges, and clear of the workspace's sides and of what must be kept out of: where
-    the arm comes near it slides along. It keeps nothing from one tick to the next.
+    An action of 1 requests a velocity of `ActionSpec.position_scale_m` per tick, to be reached at
+    the end of the tick. One step of differential inverse kinematics gives the joint velocities. It
+    starts from the setpoint that the robot reports, never from an earlier request. It keeps the
+    orientation of home, the velocity limits and ranges of the joints, and the distance to the
+    workspace's sides and to keep-out boxes, along which the arm slides. It is stateless between
+    ticks.
     """
 
     kind: ClassVar[str] = JointCommand.kind
 
     def __init__(self, spec: RobotSpec, blocks_gripper: bool) -> None:
-        """Set the controller up.
+        """Create the controller.
 
         Args:
             spec: The robot, with a kinematic model.
-            blocks_gripper: Whether the task keeps the gripper as it is.
+            blocks_gripper: Whether the task fixes the gripper.
 
         Raises:
             InvalidSpec: If the kinematic model cannot be used.
@@ -61,7 +61,7 @@ class JointController:
         self._frame = mink.FrameTask(EE_SITE, "site", _POSITION_COST, _ORIENTATION_COST)
         limits = spec.limits.joints
         fastest = max(joint.max_velocity for joint in limits.values())
-        # What is slow is moved little: a torso must not hold a wrist up.
+        # Slow joints are moved little: a torso must not delay a wrist.
         slowness = np.array([(fastest / j.max_velocity) ** 2 for j in limits.values()])
         posture = mink.PostureTask(model, cost=_POSTURE_COST * slowness, gain=_POSTURE_GAIN)
         posture.set_target(np.array(spec.home.q))
@@ -69,16 +69,16 @@ class JointController:
         self._tasks = [self._frame, posture, damping]
         self._lower = np.array([joint.lower for joint in limits.values()]) - _OUTSIDE
         self._upper = np.array([joint.upper for joint in limits.values()]) + _OUTSIDE
-        # Slides along the workspace's sides, a little inside of them: braking bends the path.
+        # Targets stay slightly inside the workspace's sides: braking bends the path.
         self._nearest = np.array(spec.limits.workspace.lower) + _MARGIN_M
         self._farthest = np.array(spec.limits.workspace.upper) - _MARGIN_M
-        # Without an entry a joint has no limit at all.
+        # A joint without an entry would have no limit.
         speeds = {name: np.array([joint.max_velocity]) for name, joint in limits.items()}
         joint_limits = [
             mink.ConfigurationLimit(model, gain=_RANGE_GAIN),
             mink.VelocityLimit(model, speeds),
         ]
-        # Resting is within the second: parts that are led out of a margin can be in conflict.
+        # The second allows zero motion: several points that must leave the margin can conflict.
         self._limits = [
             [*joint_limits, ClearanceLimit(spec, self._kinematics, _CLEARANCE_M, retreats)]
             for retreats in (True, False)
@@ -86,7 +86,7 @@ class JointController:
 
     @property
     def settings(self) -> Mapping[str, bool | int | float | str]:
-        """What a policy file records of it."""
+        """Settings that a policy file records."""
         return {
             "kind": self.kind,
             "blocks_gripper": self._blocks_gripper,
@@ -106,7 +106,7 @@ class JointController:
                 within the limits.
         """
         setpoint = state.setpoint
-        assert setpoint is not None, "a robot that takes joint commands reports its setpoint"
+        assert setpoint is not None, "a robot that accepts joint commands reports its setpoint"
         self._require_inside(setpoint.q)
         dq = self._velocity(action[:3].astype(np.float64), setpoint, state)
         period_s = self._spec.control_period_s
@@ -114,15 +114,15 @@ class JointController:
         gripper = 0.0 if self._blocks_gripper else float(action[3])
         fingers = setpoint.fingers + gripper * self._spec.action.gripper_scale_m
         limits = self._spec.limits.gripper
-        fingers = np.clip(fingers, limits.lower_m, limits.upper_m)  # an end stop is no fault
+        fingers = np.clip(fingers, limits.lower_m, limits.upper_m)  # an end stop is not a fault
         return JointCommand(state.seq, q_target, dq, period_s, fingers)
 
     def applied_action(
         self, requested: NDArray[np.float32], applied: AppliedCommand, before: RobotState
     ) -> NDArray[np.float32]:
-        """Return the action whose velocity the end of the tick had.
+        """Return the action with the velocity at the end of the tick.
 
-        It is the requested one where they agree but for the tolerance of the inverse kinematics.
+        It is the requested one where they agree within the tolerance of the inverse kinematics.
         """
         command = applied.command
         assert isinstance(command, JointCommand)
@@ -134,15 +134,15 @@ class JointController:
         gripper = float(fingers.mean()) / scales.gripper_scale_m
         action = np.clip(np.append(moved, gripper), -1.0, 1.0).astype(np.float32)
         if self._blocks_gripper:
-            action[3] = requested[3]  # no part of it ever moves anything
-        return requested if np.abs(action - requested).max() < _AS_ASKED else action
+            action[3] = requested[3]  # it moves nothing
+        return requested if np.abs(action - requested).max() < _SAME_ACTION else action
 
     def _velocity(self, action: Array, setpoint: JointSetpoint, state: RobotState) -> Array:
         self._configuration.update(setpoint.q)
         ee_pos = self._kinematics.ee_pos(setpoint.q)
         target = ee_pos + action * self._spec.action.position_scale_m
         target = np.clip(target, self._nearest, self._farthest)
-        # Against an obstacle the setpoint must not run away from the arm.
+        # At an obstacle the setpoint must not run away from the arm.
         lead = target - state.ee_pos
         distance = float(np.linalg.norm(lead))
         if distance > _MAX_LEAD_M:

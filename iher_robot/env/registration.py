@@ -1,4 +1,4 @@
-"""The environments that Gymnasium knows by id."""
+"""Registration of the environments with Gymnasium."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _GYMNASIUM = "gymnasium"
 
 
 def register_envs() -> None:
-    """Register the simulated tasks with Gymnasium; a second call changes nothing.
+    """Register the simulated tasks with Gymnasium; idempotent.
 
-    Neither driver nor task is imported before one is made.
+    Drivers and tasks are imported only when an environment is made.
     """
     import gymnasium as gym
 

@@ -1,4 +1,4 @@
-"""What happened in one control tick, as learning and the budget must see it."""
+"""Control tick: the applied action, its validity for learning, and its cost."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from drivers import Acceptance, Refusal, RobotState
 from iher_robot.env.controller import Controller
 
 CONTROLLER = "controller"
-"""What is reported as clipped where kinematics or the workspace let the controller ask for less."""
+"""Reported in ``clipped`` where kinematics or the workspace made the controller request less."""
 
 NO_SOLUTION = "no_solution"
-"""What is reported as refusal where the controller found no command to send."""
+"""Reported as refusal where the controller found no command."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,16 +23,15 @@ class Tick:  # noqa: PLW1641 - compared, never hashed
 
     Attributes:
         seq: The robot's own tick counter at its end.
-        action_applied: The action that was really applied, in [-1, 1]; zeros if none was.
-            ``(action_dim,)``
-        valid: Whether it may be learned from: the command answered the state before, was in
-            force in this very tick, and no tick is missing in between.
-        elapsed: Ticks of the robot since the state before, at least 1: what the budget pays.
+        action_applied: The applied action, in [-1, 1]; zeros if none was. ``(action_dim,)``
+        valid: Whether it may be used for learning: the command answered the previous state, was
+            applied in this tick, and no tick is missing in between.
+        elapsed: Ticks of the robot since the previous state, at least 1; charged to the budget.
         clipped: Why the robot clipped the command, or ``"controller"`` where the controller
-            could not ask it for all of the action.
-        late: Whether it shows a slow link: ticks passed unseen, the command expired, or it was
-            accepted and yet not applied in time.
-        acceptance: What the robot said to the command, None if there was no command.
+            could not request the full action.
+        late: Whether it shows a slow link: ticks were missed, the command expired, or it was
+            accepted but not applied in time.
+        acceptance: The robot's answer to the command, None without a command.
     """
 
     seq: int
@@ -54,11 +53,11 @@ class Tick:  # noqa: PLW1641 - compared, never hashed
 
     @property
     def refusal(self) -> str | None:
-        """Why the command was refused, ``"no_solution"`` where there was none, or None."""
+        """Why the command was refused, ``"no_solution"`` without a command, or None."""
         return NO_SOLUTION if self.acceptance is None else self.acceptance.refusal
 
     def info(self) -> dict[str, object]:
-        """What the environment's ``info`` reports: the tick itself, and its parts by name."""
+        """Entries of the environment's ``info``: the tick, and its parts by name."""
         return {
             "tick": self,
             "action_applied": self.action_applied,
@@ -69,21 +68,21 @@ class Tick:  # noqa: PLW1641 - compared, never hashed
         }
 
 
-def judge_tick(
+def evaluate_tick(
     requested: NDArray[np.floating],
     before: RobotState,
     after: RobotState,
     acceptance: Acceptance | None,
     controller: Controller,
 ) -> Tick:
-    """Compare what was asked with what the robot says it did.
+    """Compare the requested action with the command that the robot applied.
 
     Args:
         requested: The action, in [-1, 1]. ``(action_dim,)``
         before: The state that the command answered.
-        after: The state at the end of the tick; the same as before if none came.
-        acceptance: What the robot said to the command, None if there was no command.
-        controller: Made the command.
+        after: The state at the end of the tick; `before` if none arrived.
+        acceptance: The robot's answer to the command, None without a command.
+        controller: Controller that made the command.
     """
     elapsed = after.seq - before.seq
     applied = after.applied
@@ -91,9 +90,9 @@ def judge_tick(
     if applied is None or applied.tick != after.seq or elapsed < 1:
         late = elapsed > 1 or _came_late(acceptance)
         return Tick(after.seq, np.zeros_like(action), False, max(1, elapsed), (), late, acceptance)
-    asked, action = action, controller.applied_action(action, applied, before)
+    request, action = action, controller.applied_action(action, applied, before)
     clipped = applied.clipped
-    if not clipped and (action != asked).any():
+    if not clipped and (action != request).any():
         clipped = (CONTROLLER,)
     valid = elapsed == 1 and applied.command.answers == before.seq
     late = elapsed > 1 or (not valid and _came_late(acceptance))
@@ -101,17 +100,21 @@ def judge_tick(
 
 
 def _came_late(acceptance: Acceptance | None) -> bool:
-    """Whether a command that was not applied had been sent in order."""
+    """Whether a command that was not applied was late, rather than refused."""
     if acceptance is None:
         return False
     return acceptance.accepted or acceptance.refusal is Refusal.EXPIRED
 
 
 class InvalidTicks:
-    """Counts the ticks of an episode that may not be learned from.
+    """Counts the invalid ticks of an episode.
 
     Args:
-        allowed: How many an episode may have.
+        allowed: Number that an episode may have.
+
+    Attributes:
+        count: Number of invalid ticks.
+        late: Number of ticks that show a slow link.
     """
 
     def __init__(self, allowed: int) -> None:
@@ -120,7 +123,7 @@ class InvalidTicks:
         self.late = 0
 
     def add(self, tick: Tick) -> None:
-        """Count a tick, if it is invalid."""
+        """Count a tick."""
         self.count += not tick.valid
         self.late += tick.late
 

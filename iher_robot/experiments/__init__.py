@@ -1,1 +1,1 @@
-"""Many training runs as one experiment: what is run, how, and what came out of it."""
+"""Experiments: grids and searches of training runs, their execution and their reports."""

@@ -15,14 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from iher_robot.experiments.folder import hold_cell, tail
 from iher_robot.storage.files.atomic import write_atomically
-from iher_robot.storage.files.lock import LockFile
+from iher_robot.storage.files.lock import LockFile, wait_for_lock
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import read_result
 
-# The kernel sends SIGTERM when the thread that started it is gone, however it went; the run then
-# ends in order. -P and sys.path: see learner_process.py.
+# The kernel sends SIGTERM when the thread that started the process ends, for whatever reason; the
+# run then ends in order. -P and sys.path: see training/learners/asynchronous.py.
 PROGRAM = """
 import ctypes, json, os, signal, sys
 PR_SET_PDEATHSIG = 1
@@ -34,9 +33,9 @@ sys.argv[:] = ["iher-robot", *sys.argv[3:]]
 from iher_robot.cli.app import main
 main()
 """
-"""What the process runs."""
+"""Source of the process."""
 
-# A cell has one core; libraries that start threads of their own would take others.
+# A cell has one core; thread pools of libraries would use more.
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Ending = Literal["finished", "interrupted", "failed"]
@@ -44,32 +43,34 @@ _INTERRUPTED = (130, 143, -signal.SIGTERM, -signal.SIGINT)
 
 
 @dataclass(frozen=True)
-class Order:
-    """A cell to be run, by whoever can.
+class CellJob:
+    """A cell to run, as executors receive it.
 
     Attributes:
         name: Name of the cell.
         config: Its settings, the text of a config file.
+        config_path: Where that file is written; a new run reads it.
         run: Folder of its run.
-        log: Where to print to.
+        log: File for its output.
     """
 
     name: str
     config: str
+    config_path: Path
     run: Path
     log: Path
 
-    def absolute(self) -> Order:
-        """The same for a process in another working folder."""
-        return dataclasses.replace(self, run=self.run.absolute(), log=self.log.absolute())
+    def absolute(self) -> CellJob:
+        """The same job with absolute paths, for a process in another working directory."""
+        return dataclasses.replace(
+            self,
+            config_path=self.config_path.absolute(),
+            run=self.run.absolute(),
+            log=self.log.absolute(),
+        )
 
-    @property
-    def config_path(self) -> Path:
-        """The config file that a new run begins with, beside the log."""
-        return self.log.with_suffix(".yaml")
-
-    def words(self) -> list[str]:
-        """The words after ``iher-robot``: start a new run, or resume an interrupted one."""
+    def arguments(self) -> list[str]:
+        """Arguments of ``iher-robot``: start a new run, or resume an interrupted one."""
         config = RunDirectory(self.run).config_path
         if config.exists() and config.stat().st_size:
             return ["train", "--resume", str(self.run), "--quiet"]
@@ -82,68 +83,96 @@ class Outcome:
 
     Attributes:
         name: Name of the cell.
-        ending: What became of the cell.
-        reason: Why, in words, if it did not finish.
-        lines: The last lines that it printed.
-        place: Where it ran, empty for this machine.
-        files: Small files of a run whose folder lies elsewhere, by name.
+        ending: Final state of the cell.
+        reason: Why it did not finish; empty if it did.
+        lines: Last lines of its output.
+        node: Host name of the node that ran it, empty for this machine.
+        files: Small files of a run that is stored on another machine, by name.
     """
 
     name: str
     ending: Ending
     reason: str = ""
     lines: tuple[str, ...] = ()
-    place: str = ""
+    node: str = ""
     files: dict[str, bytes] = field(default_factory=dict)
 
 
-def run_order(
-    order: Order, begin: Callable[[subprocess.Popen[bytes]], None], unwanted: Callable[[], bool]
+def run_cell(
+    job: CellJob, on_start: Callable[[subprocess.Popen[bytes]], None], cancelled: Callable[[], bool]
 ) -> Outcome:
-    """Run a cell to its end, in a process of its own; from its last epoch if it was interrupted.
+    """Run a cell to its end in a child process, from its last epoch if it was interrupted.
 
     Args:
-        order: The cell.
-        begin: Called with its process, once it is there.
-        unwanted: Whether nobody wants the cell any more.
+        job: The cell.
+        on_start: Called with the process once it has started.
+        cancelled: Whether the cell should not be started any more.
 
     Raises:
-        UserError: An earlier process of the cell goes on, or its result is damaged.
+        UserError: An earlier process of the cell still runs, or its result is damaged.
     """
-    order.log.parent.mkdir(parents=True, exist_ok=True)
-    with hold_cell(order.log.with_suffix(".lock"), unwanted) as lock:
-        if read_result(RunDirectory(order.run).result_path) is not None:
-            return Outcome(order.name, "finished")
-        if unwanted():
-            return Outcome(order.name, "interrupted", "interrupted before it began")
-        write_atomically(order.config_path, lambda file: file.write(order.config.encode()))
-        with order.log.open("ab") as log:
-            process = _start(order.words(), lock, log)
-    begin(process)
+    job.log.parent.mkdir(parents=True, exist_ok=True)
+    with hold_cell(job.log.with_suffix(".lock"), cancelled) as lock:
+        if read_result(RunDirectory(job.run).result_path) is not None:
+            return Outcome(job.name, "finished")
+        if cancelled():
+            return Outcome(job.name, "interrupted", "interrupted before it began")
+        job.config_path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(job.config_path, lambda file: file.write(job.config.encode()))
+        with job.log.open("ab") as log:
+            process = _start(job.arguments(), lock, log)
+    on_start(process)
     code = process.wait()
-    lines = tuple(tail(order.log))
-    if code == 0 and read_result(RunDirectory(order.run).result_path) is not None:
-        return Outcome(order.name, "finished", lines=lines)
+    lines = tuple(_last_lines(job.log))
+    if code == 0 and read_result(RunDirectory(job.run).result_path) is not None:
+        return Outcome(job.name, "finished", lines=lines)
     ending: Ending = "interrupted" if code in _INTERRUPTED else "failed"
-    return Outcome(order.name, ending, _reason(code), lines)
+    return Outcome(job.name, ending, _reason(code), lines)
 
 
-def _start(words: list[str], lock: LockFile, log: BinaryIO) -> subprocess.Popen[bytes]:
-    """Start it; the lock is its own from then on, for as long as it lives."""
+def hold_cell(path: Path, cancelled: Callable[[], bool], patience_s: float = 60.0) -> LockFile:
+    """Hold a cell, once an earlier process of it has ended.
+
+    Args:
+        path: Its lock.
+        cancelled: Whether to stop waiting.
+        patience_s: Longest wait for that process, s.
+
+    Raises:
+        FileHeld: The process still runs.
+    """
+    return wait_for_lock(
+        path, f"an earlier process of {path.stem} still runs", patience_s, cancelled
+    )
+
+
+def _start(arguments: list[str], lock: LockFile, log: BinaryIO) -> subprocess.Popen[bytes]:
+    """Start the process; it inherits the lock and holds it as long as it lives."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    log.write(f"== {now} iher-robot {shlex.join(words)}\n".encode())
+    log.write(f"== {now} iher-robot {shlex.join(arguments)}\n".encode())
     log.flush()
     head = [sys.executable, "-P", "-c", PROGRAM, json.dumps(sys.path), str(os.getpid())]
     return subprocess.Popen(
-        [*head, *words],
+        [*head, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=subprocess.STDOUT,
         env={**os.environ, **_ONE_CORE},
         pass_fds=(lock.fileno(),),
-        # A Ctrl-C is for the experiment, which ends its cells in order.
+        # Ctrl-C reaches the experiment alone, which then ends its cells in order.
         start_new_session=True,
     )
+
+
+def _last_lines(path: Path, count: int = 5) -> list[str]:
+    """Last lines of a log that are not blank."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - 8192))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return []
+    return [line for line in text.splitlines() if line.strip()][-count:]
 
 
 def _reason(code: int) -> str:

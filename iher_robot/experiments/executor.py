@@ -1,4 +1,4 @@
-"""Who runs the cells of an experiment."""
+"""Executor: the interface that runs cells, and its implementation on this machine."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 
 from drivers.closing import Closing
-from iher_robot.experiments.cell_process import Order, Outcome, run_order
+from iher_robot.experiments.cell_process import CellJob, Outcome, run_cell
 
-END_S = 60.0
-"""How long a cell that is to end may take to settle its accounts."""
+SHUTDOWN_S = 60.0
+"""Time for a cell to end in order once it is interrupted, s."""
 
 
 class Executor(Closing):
-    """Runs cells side by side, as many as there are cores for.
+    """Runs cells in parallel, one per core.
 
-    ``close`` ends those that still run, in order: they can be resumed.
+    ``close`` interrupts the cells that still run; they can be resumed.
 
     Attributes:
-        title: Who it is, in words.
-        slots: Cells that it runs side by side.
+        title: Description for the user.
+        slots: Number of cells that run in parallel.
     """
 
     title: str
@@ -32,19 +32,19 @@ class Executor(Closing):
     @property
     @abstractmethod
     def running(self) -> Collection[str]:
-        """Names of the cells that have begun, as far as that is known here."""
+        """Names of the cells that have started, as far as this process knows."""
 
     @abstractmethod
-    def submit(self, order: Order) -> Future[Outcome]:
-        """Hand over a cell; it begins when a core is free."""
+    def submit(self, job: CellJob) -> Future[Outcome]:
+        """Queue a cell; it starts when a core is free."""
 
 
 class LocalExecutor(Executor):
-    """Cells as processes of this machine.
+    """Runs cells as processes of this machine.
 
     Args:
-        workers: How many run side by side.
-        title: That, in words.
+        workers: Number of cells that run in parallel.
+        title: Description for the user.
     """
 
     def __init__(self, workers: int, title: str = "") -> None:
@@ -53,7 +53,7 @@ class LocalExecutor(Executor):
         self._ending = threading.Event()
         self._mutex = threading.Lock()
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-        # Its threads live until it is shut down: a process ends with the thread that started it.
+        # The threads live until shutdown: a process ends with the thread that started it.
         self._threads = ThreadPoolExecutor(workers, thread_name_prefix="cell")
 
     @property
@@ -62,12 +62,12 @@ class LocalExecutor(Executor):
         with self._mutex:
             return set(self._running)
 
-    def submit(self, order: Order) -> Future[Outcome]:
-        """Hand over a cell; it begins when a core is free."""
-        return self._threads.submit(self._run, order)
+    def submit(self, job: CellJob) -> Future[Outcome]:
+        """Queue a cell; it starts when a core is free."""
+        return self._threads.submit(self._run, job)
 
     def close(self) -> None:
-        """End the cells in order, or by force if they take too long; twice does nothing."""
+        """End the cells in order, then by force after `SHUTDOWN_S`; idempotent."""
         with self._mutex:
             self._ending.set()
             running = list(self._running.values())
@@ -76,21 +76,21 @@ class LocalExecutor(Executor):
         try:
             for process in running:
                 with suppress(subprocess.TimeoutExpired):
-                    process.wait(END_S)
-        finally:  # a second Ctrl-C, too
+                    process.wait(SHUTDOWN_S)
+        finally:  # after a second Ctrl-C too
             for process in running:
                 process.kill()
             self._threads.shutdown(wait=True, cancel_futures=True)
 
-    def _run(self, order: Order) -> Outcome:
-        def begin(process: subprocess.Popen[bytes]) -> None:
+    def _run(self, job: CellJob) -> Outcome:
+        def on_start(process: subprocess.Popen[bytes]) -> None:
             with self._mutex:
-                self._running[order.name] = process
+                self._running[job.name] = process
                 if self._ending.is_set():
                     process.terminate()
 
         try:
-            return run_order(order, begin, self._ending.is_set)
+            return run_cell(job, on_start, self._ending.is_set)
         finally:
             with self._mutex:
-                self._running.pop(order.name, None)
+                self._running.pop(job.name, None)

@@ -1,9 +1,8 @@
-"""Run an experiment of many cells: the application behind ``iher-robot experiment``."""
+"""Run every cell of a manifest: the application behind ``iher-robot experiment``."""
 
 from __future__ import annotations
 
 import datetime
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -11,19 +10,18 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from iher_robot.errors import UserError, unknown_name
+from iher_robot.errors import UserError
 from iher_robot.experiments.cell_process import Outcome
-from iher_robot.experiments.executor import Executor, LocalExecutor
+from iher_robot.experiments.executor_options import ExecutorOptions
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import Manifest, read_manifest
-from iher_robot.experiments.progress import Board
+from iher_robot.experiments.progress import ProgressTable
 from iher_robot.experiments.report.report import ReportResult, report
-from iher_robot.experiments.runner import Running, prepare
+from iher_robot.experiments.runner import CellRunner, prepare_cell
 from iher_robot.storage.files.lock import LockFile
 from iher_robot.storage.provenance import collect_provenance
 
-EXECUTORS = ("local", "ray")
 DEFAULT_FOLDER = Path("runs/experiments")
 
 
@@ -34,8 +32,8 @@ class ExperimentResult:
     Attributes:
         folder: Its folder.
         outcomes: How each cell ended.
-        logs: What each cell that did not finish printed, by name.
-        report: The report, or why there is none.
+        logs: Log of each cell, by name.
+        report: The report, or the reason why there is none.
     """
 
     folder: Path
@@ -58,11 +56,11 @@ class ExperimentResult:
         total = len(self.outcomes)
         lines = [f"{total - len(self.failed)} of {total} cells finished: {self.folder}"]
         lines += [
-            f"{outcome.ending:<8}{outcome.name}: {outcome.reason}, see {self.logs[outcome.name]}"
+            f"{outcome.ending:<12}{outcome.name}: {outcome.reason}, see {self.logs[outcome.name]}"
             for outcome in self.failed
         ]
-        told = self.report if isinstance(self.report, str) else self.report.summary()
-        return "\n".join([*lines, told])
+        report = self.report if isinstance(self.report, str) else self.report.summary()
+        return "\n".join([*lines, report])
 
 
 def experiment(
@@ -76,92 +74,56 @@ def experiment(
     only: Sequence[str] = (),
     display: bool = True,
 ) -> ExperimentResult:
-    """Run every cell of a manifest that has not finished yet, and report.
+    """Run every cell of a manifest that has not finished yet, and write the report.
 
     Args:
         manifest: Name of a shipped experiment, or the path of a YAML file.
-        out: Folder of the experiment; by default one of its name in ``runs/experiments``. One
-            that is there goes on.
+        out: Folder of the experiment; by default one of its name in ``runs/experiments``. An
+            existing one continues.
         executor: ``local`` runs cells as processes of this machine, ``ray`` on a Ray cluster.
-        workers: Cells side by side with ``local``; by default one for each core.
-        address: Of the Ray cluster; by default that of the environment, or a new one here.
-        ship: With ``ray``, run cells on the disks of the nodes, even where they see `out`.
+        workers: Number of parallel cells with ``local``; by default one per core.
+        address: Address of the Ray cluster; by default that of the environment, or a new one on
+            this machine.
+        ship: With ``ray``, run cells on the nodes' own disks, even where they see `out`.
         only: Patterns such as ``push-*-seed0``: only cells whose names match one of them are run.
         display: Show progress.
 
     Returns:
-        How it ended; cells that failed are told of, and do not end the others.
+        How it ended; a failed cell does not end the others.
 
     Raises:
         UserError: Bad input; no cell has been started.
     """
-    read = read_manifest(manifest)
-    cells = expand(read)
+    plan = read_manifest(manifest)
+    cells = expand(plan)
     folder = ExperimentFolder(out or DEFAULT_FOLDER / Path(manifest).stem)
-    options = _Options(executor, workers, address, ship)
+    options = ExecutorOptions(executor, workers, address, ship)
     options.check(cells)
-    chosen = _choose(read, cells, only)
+    chosen = _choose(plan, cells, only)
     again = f"iher-robot {shlex.join(sys.argv[1:])}"
     with folder.hold() as lock:
         try:
-            outcomes = _run(read, cells, chosen, folder, options, lock, display=display)
+            outcomes = _run(plan, cells, chosen, folder, options, lock, display=display)
         except KeyboardInterrupt as error:
             error.add_note(f"continue with: {again}")
             raise
-        told = _report(folder)
+        result = _report(folder)
     logs = {outcome.name: folder.log(outcome.name) for outcome in outcomes}
-    return ExperimentResult(folder.path, outcomes, logs, told)
-
-
-@dataclass(frozen=True)
-class _Options:
-    executor: str
-    workers: int | None
-    address: str | None
-    ship: bool
-
-    def check(self, cells: Sequence[Cell]) -> None:
-        """Refuse what does not go together."""
-        if self.executor not in EXECUTORS:
-            raise unknown_name("executor", self.executor, EXECUTORS)
-        if self.workers is not None and self.workers < 1:
-            raise UserError(f"--workers is {self.workers}, allowed: an integer, 1 or more")
-        if self.executor == "ray":
-            if self.workers is not None:
-                raise UserError(
-                    "--workers is for --executor local; the nodes of a Ray cluster say how many "
-                    "cores they have; leave it out"
-                )
-            for cell in cells:
-                if not cell.simulated:
-                    raise UserError(
-                        f"cell {cell.name} moves {cell.identity.robot}, which cells must not "
-                        "share; use --executor local"
-                    )
-        elif self.address is not None or self.ship:
-            raise UserError("--address and --ship are for --executor ray; leave them out")
-
-    def make(self, cells: Sequence[Cell], lock: LockFile) -> Executor:
-        """Make the executor."""
-        if self.executor == "ray":
-            from iher_robot.experiments.ray import RayExecutor
-
-            return RayExecutor(lock.path, self.address, ship=self.ship)
-        if not all(cell.simulated for cell in cells):
-            return LocalExecutor(1, "one at a time, since they share a robot")
-        return LocalExecutor(self.workers or len(os.sched_getaffinity(0)))
+    return ExperimentResult(folder.path, outcomes, logs, result)
 
 
 def _choose(manifest: Manifest, cells: Sequence[Cell], only: Sequence[str]) -> Sequence[Cell]:
     if not only:
         return cells
     if manifest.search is not None:
-        raise UserError("--only is for the cells of grids, and this is a search; leave it out")
+        raise UserError(
+            "--only selects cells of a grid, and this manifest is a search; leave it out"
+        )
     for pattern in only:
         if not any(fnmatchcase(cell.name, pattern) for cell in cells):
             raise UserError(
-                f"--only is {pattern!r}, which is the name of none of the {len(cells)} cells, such "
-                f"as {cells[0].name}"
+                f"--only is {pattern!r}, which matches none of the {len(cells)} cells, such as "
+                f"{cells[0].name}"
             )
     return [cell for cell in cells if any(fnmatchcase(cell.name, pattern) for pattern in only)]
 
@@ -171,7 +133,7 @@ def _run(
     cells: Sequence[Cell],
     chosen: Sequence[Cell],
     folder: ExperimentFolder,
-    options: _Options,
+    options: ExecutorOptions,
     lock: LockFile,
     *,
     display: bool,
@@ -179,28 +141,30 @@ def _run(
     now = datetime.datetime.now().astimezone()
     provenance = collect_provenance(["iher-robot", *sys.argv[1:]], 0, now)
     del provenance["seed"]  # each cell has its own
-    board = Board(manifest.title, enabled=display)
+    progress = ProgressTable(manifest.title, enabled=display)
     with options.make(cells, lock) as executor:
-        running = Running(folder, executor, board)
+        runner = CellRunner(folder, executor, progress)
         if manifest.search is None:
-            running.prepare(chosen)
+            runner.prepare(chosen)
             for cell in cells:
-                if cell not in chosen:  # it is in the report, too
-                    prepare(folder, cell)
+                if cell not in chosen:  # the report shows it too
+                    prepare_cell(folder, cell)
             folder.begin(manifest, provenance, [cell.identity for cell in cells])
-            board.say(f"{manifest.title}: {len(chosen)} cells, {executor.title}, in {folder.path}")
-            with board:
-                running.submit(chosen)
-                while running.busy:
-                    running.wait()
+            progress.print(
+                f"{manifest.title}: {len(chosen)} cells, {executor.title}, in {folder.path}"
+            )
+            with progress:
+                runner.submit(chosen)
+                while runner.busy:
+                    runner.wait()
         else:
             from iher_robot.experiments.search import SearchRun
 
-            search = SearchRun(manifest, manifest.search, running)
+            search = SearchRun(manifest, manifest.search, runner)
             folder.begin(manifest, provenance, search.identities)
-            with board:
+            with progress:
                 search.run()
-    return tuple(running.outcomes.values())
+    return tuple(runner.outcomes.values())
 
 
 def _report(folder: ExperimentFolder) -> ReportResult | str:

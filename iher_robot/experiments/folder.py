@@ -1,19 +1,18 @@
-"""The folder of an experiment: what lies where, and how far each cell is."""
+"""Folder of an experiment: paths, locks, cells and their states."""
 
 from __future__ import annotations
 
 import csv
 import io
-import os
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from iher_robot.errors import UserError
 from iher_robot.experiments.grid import Identity
 from iher_robot.experiments.manifest import Manifest
-from iher_robot.experiments.metadata import cells_of, read_origin, write_origin
+from iher_robot.experiments.metadata import cells_of, read_metadata, write_metadata
 from iher_robot.storage.files.atomic import read_file
 from iher_robot.storage.files.lock import LockFile, read_note, wait_for_lock
 from iher_robot.storage.run_directory import RunDirectory
@@ -23,20 +22,21 @@ NOT_BEGUN = "not begun"
 
 
 class ExperimentFolder:
-    """Paths of an experiment.
+    """Folder of an experiment.
 
     Args:
-        path: Its folder.
-        origin: What it is; what the file there says by default.
+        path: The folder.
+        metadata: Contents of ``experiment.json``; read from the folder by default.
     """
 
-    def __init__(self, path: Path, origin: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, metadata: Mapping[str, Any] | None = None) -> None:
         self.path = path
-        self._origin = origin
+        self._metadata = metadata
         self.cells_path = path / "cells"
+        self.configs_path = path / "configs"
         self.logs_path = path / "logs"
         self.figures_path = path / "figures"
-        self.origin_path = path / "experiment.json"
+        self.metadata_path = path / "experiment.json"
         self.evaluations_path = path / "evaluations.csv"
         self.runs_path = path / "runs.csv"
         self.trials_path = path / "trials.csv"
@@ -44,27 +44,31 @@ class ExperimentFolder:
         self._lock_path = path / "experiment.lock"
 
     def run(self, name: str) -> RunDirectory:
-        """Folder of a cell's run, which may not be there yet."""
+        """Folder of a cell's run, which may not exist yet."""
         return RunDirectory(self.cells_path / name)
 
+    def config(self, name: str) -> Path:
+        """Settings of a cell, for ``iher-robot train --config``."""
+        return self.configs_path / f"{name}.yaml"
+
     def log(self, name: str) -> Path:
-        """What the processes of a cell printed."""
+        """Output of the processes of a cell."""
         return self.logs_path / f"{name}.log"
 
     def lock(self, name: str) -> Path:
-        """Held while a process of a cell runs."""
+        """Lock that a running process of a cell holds."""
         return self.log(name).with_suffix(".lock")
 
     def failure(self, name: str) -> Path:
-        """Why the last process of a cell failed, if it did."""
+        """File with the reason why the last process of a cell failed."""
         return self.log(name).with_suffix(".failed")
 
     def hold(self) -> LockFile:
-        """Make the folder and hold it for this process.
+        """Create the folder and lock it for this process.
 
         Raises:
             FileHeld: Another experiment runs there.
-            UserError: The folder cannot be made.
+            UserError: The folder cannot be created.
         """
         self._make()
         pid = read_note(self._lock_path).get("pid")
@@ -77,15 +81,18 @@ class ExperimentFolder:
         return held
 
     def hold_report(self, patience_s: float = 30.0) -> LockFile:
-        """Make the folder and hold its tables and report, once nobody else writes them.
+        """Create the folder and lock its tables and report.
+
+        Args:
+            patience_s: Longest wait for another process that writes them, s.
 
         Raises:
-            FileHeld: Somebody still does.
-            UserError: The folder cannot be made.
+            FileHeld: Another process still writes them.
+            UserError: The folder cannot be created.
         """
         self._make()
         in_use = (
-            f"another process writes tables and report of {self.path}; wait for it, then "
+            f"another process writes tables and report of {self.path}; wait for it, then run "
             f"iher-robot report {shlex.quote(str(self.path))}"
         )
         return wait_for_lock(self.path / "report.lock", in_use, patience_s)
@@ -95,40 +102,42 @@ class ExperimentFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(
-                f"cannot make experiment folder {self.path}: {error.strerror or error}; choose "
+                f"cannot create experiment folder {self.path}: {error.strerror or error}; choose "
                 "another with --out"
             ) from error
 
-    def read_origin(self) -> dict[str, Any]:
-        """What the experiment is, see `origin.read_origin`; empty if nothing is known of it yet.
+    def read_metadata(self) -> dict[str, Any]:
+        """Metadata of the experiment, see `metadata.read_metadata`; empty if there is none yet.
 
         Raises:
             UserError: The file is damaged.
         """
-        return read_origin(self.origin_path) if self._origin is None else dict(self._origin)
+        if self._metadata is not None:
+            return dict(self._metadata)
+        return read_metadata(self.metadata_path)
 
-    def as_it_is_now(self, path: Path | None = None) -> ExperimentFolder:
-        """The same, with the cells that it has now, whatever is begun meanwhile.
+    def snapshot(self, path: Path | None = None) -> ExperimentFolder:
+        """The folder with its metadata frozen: cells that are added later do not appear.
 
         Args:
-            path: Another folder for it; this one by default.
+            path: Another folder for the same metadata; this one by default.
         """
-        return ExperimentFolder(path or self.path, self.read_origin())
+        return ExperimentFolder(path or self.path, self.read_metadata())
 
     def begin(
         self, manifest: Manifest, provenance: Mapping[str, Any], cells: Iterable[Identity]
     ) -> None:
-        """Keep what the experiment is, and where this process of it comes from.
+        """Write the metadata of the experiment, with the provenance of this process.
 
         Raises:
-            UserError: Cells have been run here that are not of this experiment.
+            UserError: The folder has runs of cells that are not in the manifest.
         """
-        before = self.read_origin()
+        before = self.read_metadata()
         cells = tuple(cells)
         if before:
             self._require_kept(cells_of(before), cells)
-        write_origin(
-            self.origin_path,
+        write_metadata(
+            self.metadata_path,
             {
                 "title": manifest.title,
                 "description": manifest.description,
@@ -140,75 +149,52 @@ class ExperimentFolder:
         )
 
     def _require_kept(self, before: Iterable[Identity], cells: Iterable[Identity]) -> None:
-        """A report that leaves out what was run might leave out what did not please."""
+        """Refuse to drop cells that were run: the report would be a selection of results."""
         names = {identity.name for identity in cells}
-        told = states_told(self.runs_path)
+        recorded = recorded_states(self.runs_path)
         lost = [
             identity.name
             for identity in before
             if identity.name not in names
-            and (self.has_begun(identity.name) or told.get(identity.name, NOT_BEGUN) != NOT_BEGUN)
+            and (
+                self.has_begun(identity.name) or recorded.get(identity.name, NOT_BEGUN) != NOT_BEGUN
+            )
         ]
         if lost:
             more = f" and {len(lost) - 3} more" if len(lost) > 3 else ""
             raise UserError(
-                f"{self.path} has runs that the manifest does not have any more: "
+                f"{self.path} has runs of cells that are no longer in the manifest: "
                 f"{', '.join(lost[:3])}{more}; put them back into it, or choose another --out"
             )
 
     def has_begun(self, name: str) -> bool:
-        """Whether the run of a cell is there."""
+        """Whether the run of a cell has started."""
         config = self.run(name).config_path
         return config.exists() and config.stat().st_size > 0
 
     def add_cells(self, cells: Iterable[Identity]) -> None:
-        """Keep that there are more cells."""
-        origin = self.read_origin()
+        """Add cells to the metadata."""
+        metadata = self.read_metadata()
         rows = [identity.as_row() for identity in cells]
-        new = [row for row in rows if row not in origin["cells"]]
-        write_origin(self.origin_path, origin | {"cells": [*origin["cells"], *new]})
+        new = [row for row in rows if row not in metadata["cells"]]
+        write_metadata(self.metadata_path, metadata | {"cells": [*metadata["cells"], *new]})
 
     def identities(self) -> tuple[Identity, ...]:
-        """The cells that the experiment has begun with.
+        """The cells of the experiment.
 
         Raises:
-            UserError: The file that tells of them is damaged or missing.
+            UserError: The metadata are damaged or missing.
         """
-        origin = self.read_origin()
-        if not origin:
+        metadata = self.read_metadata()
+        if not metadata:
             raise UserError(f"there is no experiment in {self.path}: it has no experiment.json")
-        return cells_of(origin)
+        return cells_of(metadata)
 
 
-def states_told(path: Path) -> dict[str, str]:
-    """State of each cell in a table of runs, empty if there is none; no extra is needed."""
+def recorded_states(path: Path) -> dict[str, str]:
+    """State of each cell in a table of runs, empty without a table; needs no pandas."""
     if not path.exists():
         return {}
     text = read_file(path, "table of an experiment").decode(errors="replace")
     rows = csv.DictReader(io.StringIO(text, newline=""))
     return {str(row.get("cell")): str(row.get("state")) for row in rows}
-
-
-def hold_cell(path: Path, give_up: Callable[[], bool], patience_s: float = 60.0) -> LockFile:
-    """Hold a cell, once an earlier process of it has ended.
-
-    Args:
-        path: Its lock.
-        give_up: Whether nobody wants it any more.
-        patience_s: How long to wait for that process.
-
-    Raises:
-        FileHeld: It goes on.
-    """
-    return wait_for_lock(path, f"an earlier process of {path.stem} still runs", patience_s, give_up)
-
-
-def tail(path: Path, lines: int = 5) -> list[str]:
-    """Last lines of a log that say something."""
-    try:
-        with path.open("rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - 8192))
-            text = file.read().decode(errors="replace")
-    except OSError:
-        return []
-    return [line for line in text.splitlines() if line.strip()][-lines:]

@@ -1,4 +1,4 @@
-"""Cells of an experiment: each is one training run."""
+"""Cells of an experiment, one training run each: their identities, settings and expansion."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from iher_robot.config.options import load_config
 from iher_robot.config.robot import DEFAULT_DRIVER
-from iher_robot.config.run import RunConfig, load_config, plain_identity
+from iher_robot.config.run import RunConfig, plain_identity
 from iher_robot.errors import UserError
 from iher_robot.experiments.manifest import Grid, Manifest
 from tasks import TaskError
@@ -18,40 +19,16 @@ from tasks import TaskError
 _ABSENT = object()
 
 
-def differences(first: RunConfig, second: RunConfig) -> dict[str, tuple[Any, Any]]:
-    """Settings in which two runs differ and on which their results depend.
-
-    Returns:
-        Both values by dotted key, None for one that is not there.
-    """
-    one, two = _flat(plain_identity(first)), _flat(plain_identity(second))
-    return {
-        key: (one.get(key), two.get(key))
-        for key in {**one, **two}
-        if one.get(key, _ABSENT) != two.get(key, _ABSENT)
-    }
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[prefix + key] = value
-    return found
-
-
 @dataclass(frozen=True)
 class Identity:
-    """What tells a cell from the others.
+    """What distinguishes a cell from the others.
 
     Attributes:
         task: Name of the task.
-        robot: Driver and robot, in words.
+        robot: Driver and robot, as text.
         algo: Name of the algorithm.
-        preset: Name of the preset, of a file its stem.
-        variant: Name of the variant, empty for none.
+        preset: Name of the preset; for a file, its stem.
+        variant: Name of the variant, or empty.
         budget: Robot minutes where the grid has several budgets, else None.
         seed: Seed of the run.
     """
@@ -73,11 +50,11 @@ class Identity:
 
     @property
     def method(self) -> Identity:
-        """The same for all seeds of a method."""
+        """The identity without the seed: equal for all seeds of a method."""
         return replace(self, seed=0)
 
     def as_row(self) -> dict[str, Any]:
-        """Its attributes by name."""
+        """Its attributes by name, as columns of a table."""
         return asdict(self)
 
 
@@ -86,7 +63,7 @@ class Cell:
     """A training run of an experiment.
 
     Attributes:
-        identity: What tells it from the others.
+        identity: What distinguishes it from the others.
         config: Its settings, resolved.
     """
 
@@ -100,7 +77,7 @@ class Cell:
 
     @property
     def simulated(self) -> bool:
-        """Whether it is known to have a robot of its own, which no other cell can move."""
+        """Whether it has its own simulated robot, which no other cell can move."""
         return self.config.driver == DEFAULT_DRIVER
 
 
@@ -117,11 +94,12 @@ class _Choice:
 
 
 def expand(manifest: Manifest) -> tuple[Cell, ...]:
-    """Make every cell of a manifest; nothing is written.
+    """Expand a manifest into its cells; nothing is written.
 
     Raises:
-        UserError: The settings of a cell, or what a search may draw, are not allowed; two cells
-            have one name; or two would count as seeds of one method, though they differ in more.
+        UserError: The settings of a cell, or an end of a search's range, are not allowed; two
+            cells have the same name; or two cells would count as seeds of one method although
+            other settings differ too.
     """
     cells: dict[str, Cell] = {}
     methods: dict[Identity, Cell] = {}
@@ -138,7 +116,7 @@ def expand(manifest: Manifest) -> tuple[Cell, ...]:
         for settings in manifest.search.ends():
             for grid in manifest.grids:
                 for _ in expand_grid(grid, f"{manifest.origin}, search", settings):
-                    pass  # it is the error that is asked for
+                    pass  # only the check matters
     return tuple(cells.values())
 
 
@@ -157,13 +135,13 @@ def _require_one_method(first: Cell, cell: Cell, manifest: Manifest) -> None:
 def expand_grid(
     grid: Grid, origin: str, settings: Mapping[str, Any] | None = None, variant: str = ""
 ) -> Iterator[Cell]:
-    """Make every cell of a grid.
+    """Expand a grid into its cells.
 
     Args:
         grid: The grid.
-        origin: Where it is from, for messages.
-        settings: More settings, which count before all others.
-        variant: Their name, put before those of the grid's variants.
+        origin: Its source, for messages.
+        settings: Further settings, which override all others.
+        variant: Name of these settings, a prefix of the variants' names.
 
     Raises:
         UserError: The settings of a cell are not allowed.
@@ -211,3 +189,27 @@ def _make_cell(choice: _Choice) -> Cell:
         seed=config.seed,
     )
     return Cell(identity, config)
+
+
+def differences(first: RunConfig, second: RunConfig) -> dict[str, tuple[Any, Any]]:
+    """Settings that differ between two runs and can change their results.
+
+    Returns:
+        Both values by dotted key, None for a missing one.
+    """
+    one, two = _flat(plain_identity(first)), _flat(plain_identity(second))
+    return {
+        key: (one.get(key), two.get(key))
+        for key in {**one, **two}
+        if one.get(key, _ABSENT) != two.get(key, _ABSENT)
+    }
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[prefix + key] = value
+    return found

@@ -1,4 +1,4 @@
-"""What an experiment runs: grids of tasks, algorithms, settings, budgets and seeds."""
+"""Manifest of an experiment: grids of tasks, algorithms, settings, budgets and seeds."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from iher_robot.learning.config import OR_OFF
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._]*(-[A-Za-z0-9._]+)*")
 
-# Settings that a manifest has a key of its own for, by which cells are told apart.
-_KEYS_OF_THEIR_OWN = {
+# Settings with their own key in a grid: they distinguish cells, or hold for the whole grid.
+_GRID_KEYS = {
     "task": "tasks",
     "algo": "algos",
     "preset": "presets",
@@ -34,40 +34,40 @@ _KEYS_OF_THEIR_OWN = {
 
 
 class Grid(Section):
-    """Every combination of what is listed is a cell."""
+    """A grid: every combination of the listed values is a cell."""
 
     tasks: tuple[str, ...] = Field(min_length=1)
-    """Tasks to be learned."""
+    """Tasks to learn."""
     algos: tuple[str, ...] = Field(default=("iher",), min_length=1)
     """Algorithms: iher, her, her-matched."""
     presets: tuple[str, ...] = Field(default=("default",), min_length=1)
     """Names of presets, or paths of YAML files."""
     variants: dict[str, dict[str, Any]] = Field(default={})
-    """Settings by the name of the variant, dotted keys as with ``--set``; none is one variant
+    """Settings by name of the variant, dotted keys as with ``--set``; empty means one variant
     without a name."""
     budgets: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] = ()
-    """Robot minutes; the preset's where empty."""
+    """Robot minutes; empty for the preset's."""
     seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(default=(0,), min_length=1)
     """Seeds of the runs."""
     settings: dict[str, Any] = Field(default={})
-    """Settings of all cells of the grid; where a variant has the same one, the variant's counts."""
+    """Settings of all cells of the grid; those of a variant override them."""
     driver: str | None = None
-    """What moves; as ``iher-robot train`` chooses where it is off."""
+    """Name of the robot driver; null for the default of ``iher-robot train``."""
     robot: str | None = None
-    """A robot's name or the path of a YAML file; the driver's default where it is off."""
+    """A robot's name or the path of a YAML file; null for the driver's default."""
     connect: tuple[str, ...] = ()
-    """Where to reach a robot on the network."""
+    """Endpoints of a robot on the network."""
     until_success: Annotated[float | None, OR_OFF] = Field(default=None, gt=0, le=1)
     """Stop when two evaluations in a row reach this rate; ``off`` spends every budget."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
-    """Where replay, models and policy live."""
+    """Device of replay, models and policy."""
 
 
 class _Head(Section):
     title: str = Field(min_length=1)
-    """What the report is called."""
+    """Title of the report."""
     description: str = ""
-    """What the experiment asks, for the report."""
+    """Question of the experiment, for the report."""
     grids: tuple[Any, ...] = Field(min_length=1)
     """The grids."""
     search: dict[str, Any] | None = None
@@ -76,14 +76,14 @@ class _Head(Section):
 
 @dataclass(frozen=True)
 class Manifest:
-    """What an experiment runs.
+    """A checked manifest.
 
     Attributes:
-        origin: Where it was read, for messages.
-        title: What the report is called.
-        description: What the experiment asks.
+        origin: Its source, for messages.
+        title: Title of the report.
+        description: Question of the experiment.
         grids: The grids.
-        search: The search for settings that runs the grid at each of its points, if it is one.
+        search: The search, which runs the grid at each of its points; None without one.
     """
 
     origin: str
@@ -98,10 +98,10 @@ def read_manifest(name: str) -> Manifest:
 
     Args:
         name: Name of a shipped experiment, or the path of a YAML file. Paths in the file are
-            from its own folder.
+            relative to its folder.
 
     Raises:
-        UserError: There is none, or something in it is not allowed.
+        UserError: It does not exist, or something in it is not allowed.
     """
     layer = experiment_layer(name)
     head = parse_section(_Head, layer.values, layer.origin)
@@ -115,7 +115,7 @@ def read_manifest(name: str) -> Manifest:
         if len(grids) > 1:
             raise UserError(f"{layer.origin}: a search has one grid, and there are {len(grids)}")
         search = parse_search(Layer(f"{layer.origin}, search", head.search))
-        _require_no_key_of_its_own(search.parameters, f"{layer.origin}, search")
+        _refuse_grid_keys(search.parameters, f"{layer.origin}, search")
     return Manifest(layer.origin, head.title, head.description, tuple(grids), search)
 
 
@@ -130,13 +130,13 @@ def _checked(grid: Grid, origin: str, folder: Path) -> Grid:
     for key, values in lists.items():
         twice = next((value for value in values if values.count(value) > 1), None)
         if twice is not None:
-            raise UserError(f"{origin}: {key} names {twice!r} twice; leave one out")
-    _require_no_key_of_its_own(grid.settings, f"{origin}, settings")
+            raise UserError(f"{origin}: {key} lists {twice!r} twice; leave one out")
+    _refuse_grid_keys(grid.settings, f"{origin}, settings")
     for name, changed in grid.variants.items():
-        _require_no_key_of_its_own(changed, f"{origin}, variant {name}")
+        _refuse_grid_keys(changed, f"{origin}, variant {name}")
         if not _NAME.fullmatch(name):
             raise UserError(
-                f"{origin}: a variant is called {name!r}, allowed: letters, digits, dots and "
+                f"{origin}: a variant has the name {name!r}, allowed: letters, digits, dots and "
                 "underscores, with hyphens between them"
             )
     return grid.model_copy(
@@ -147,9 +147,9 @@ def _checked(grid: Grid, origin: str, folder: Path) -> Grid:
     )
 
 
-def _require_no_key_of_its_own(settings: Iterable[str], origin: str) -> None:
+def _refuse_grid_keys(settings: Iterable[str], origin: str) -> None:
     for key in settings:
-        own = _KEYS_OF_THEIR_OWN.get(key.strip())
+        own = _GRID_KEYS.get(key.strip())
         if own is not None:
             raise UserError(f"{origin}: {key} cannot be set there, use the grid's key {own}")
 

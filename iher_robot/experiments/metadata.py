@@ -1,4 +1,4 @@
-"""What an experiment is: the file ``experiment.json`` in its folder."""
+"""Metadata of an experiment: the file ``experiment.json`` in its folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Process(BaseModel):
     command: tuple[str, ...]
 
 
-class _Origin(BaseModel):
+class _Metadata(BaseModel):
     title: str
     description: str
     manifest: str
@@ -31,43 +31,43 @@ class _Origin(BaseModel):
     cells: tuple[Identity, ...]
 
 
-def read_origin(path: Path) -> dict[str, Any]:
-    """What the experiment is; empty if nothing is known of it yet.
+def read_metadata(path: Path) -> dict[str, Any]:
+    """Read the metadata; empty if there is no file yet.
 
     Returns:
-        ``title``, ``description``, ``manifest``, ``search``, and of each process and each cell
-        what is known.
+        ``title``, ``description``, ``manifest``, ``search``, ``processes`` (provenance of each)
+        and ``cells``.
 
     Raises:
-        UserError: The file is damaged, or something is missing in it.
+        UserError: The file is damaged, or a key is missing.
     """
     if not path.exists():
         return {}
-    origin = load_checked(read_file(path, "experiment file"), path, "experiment file")
+    metadata = load_checked(read_file(path, "experiment file"), path, "experiment file")
     try:
-        _Origin.model_validate_json(json.dumps(origin), strict=True)
+        _Metadata.model_validate_json(json.dumps(metadata), strict=True)
     except ValidationError as error:
         raise UserError(
             f"{path} is no experiment file of this version of iher-robot: "
             f"{describe_first_problem(error)}; restore it from a copy"
         ) from None
-    names = [cell.name for cell in cells_of(origin)]
+    names = [cell.name for cell in cells_of(metadata)]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise UserError(f"{path} names the cell {twice} twice; restore it from a copy")
-    return origin
+    return metadata
 
 
-def write_origin(path: Path, origin: Mapping[str, Any]) -> None:
-    """Write what the experiment is.
+def write_metadata(path: Path, metadata: Mapping[str, Any]) -> None:
+    """Write the metadata.
 
     Raises:
-        UserError: The system refuses, such as on a full disk.
+        UserError: The file cannot be written, such as on a full disk.
     """
-    text = json.dumps(add_checksum(origin), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(add_checksum(metadata), indent=1, allow_nan=False) + "\n"
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def cells_of(origin: Mapping[str, Any]) -> tuple[Identity, ...]:
-    """The cells that an experiment has begun with."""
-    return tuple(Identity(**identity) for identity in origin["cells"])
+def cells_of(metadata: Mapping[str, Any]) -> tuple[Identity, ...]:
+    """The cells in the metadata."""
+    return tuple(Identity(**identity) for identity in metadata["cells"])

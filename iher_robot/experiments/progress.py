@@ -1,4 +1,4 @@
-"""What the cells of an experiment are doing: a live table, or a line for each event."""
+"""Progress of the cells of an experiment: a live table, or a line per event."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ State = Literal["waiting", "running", "finished", "interrupted", "failed"]
 
 _ORDER: tuple[State, ...] = ("running", "failed", "interrupted", "waiting", "finished")
 _STYLES: dict[State, str] = {"running": "bold", "failed": "red", "finished": "green"}
-_LINES_AROUND = 7
-_LINES_OF_A_FILE = 1000
+_OTHER_LINES = 7
+_HEIGHT_OF_A_FILE = 1000
 
 
 @dataclass
-class Line:
-    """A cell on the board.
+class CellProgress:
+    """Progress of a cell.
 
     Attributes:
         name: Its name.
-        budget_minutes: Robot minutes that it may spend.
-        state: What it is doing.
-        note: More of that, in words.
-        row: Its last metrics, and the last success rate among them.
-        started: When its process began here. s
-        seconds: How long that took.
+        budget_minutes: Budget of robot minutes.
+        state: Its state.
+        note: Further text about the state.
+        row: Its last metrics, with the last success rate.
+        started: Start of its process, on the table's clock. s
+        seconds: Duration of its process. s
     """
 
     name: str
@@ -50,14 +50,14 @@ class Line:
     seconds: float | None = None
 
 
-class Board:
-    """Shows the cells.
+class ProgressTable:
+    """Live table of the cells.
 
     Args:
         title: Name of the experiment.
-        console: Where to; standard output by default. If it is no terminal, it gets a line for
-            each cell that begins or ends.
-        enabled: Show anything at all.
+        console: Where to print; standard output by default. Without a terminal a line is printed
+            for each cell that starts or ends.
+        enabled: False prints nothing.
         clock: Monotonic time. s
     """
 
@@ -70,7 +70,7 @@ class Board:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.title = title
-        self.lines: dict[str, Line] = {}
+        self.cells: dict[str, CellProgress] = {}
         self.console = console or Console()
         self.enabled = enabled
         self._clock = clock
@@ -92,64 +92,64 @@ class Board:
     ) -> None:
         self._live.__exit__(kind, error, trace)
 
-    def add(self, line: Line) -> None:
-        """Show another cell."""
-        self.lines[line.name] = line
+    def add(self, cell: CellProgress) -> None:
+        """Add a cell to the table."""
+        self.cells[cell.name] = cell
 
     def change(self, name: str, state: State, note: str = "") -> None:
-        """Say what a cell does now."""
-        line = self.lines[name]
+        """Change the state of a cell."""
+        cell = self.cells[name]
         if state == "running":
-            line.started = self._clock()
-        elif line.started is not None:
-            line.seconds = self._clock() - line.started
-        line.state, line.note = state, note
+            cell.started = self._clock()
+        elif cell.started is not None:
+            cell.seconds = self._clock() - cell.started
+        cell.state, cell.note = state, note
         if self.enabled and not isinstance(self._live, Live):
-            took = "" if line.seconds is None else f" after {_duration(line.seconds)}"
-            self.say(": ".join(filter(None, [f"{name} {state}{took}", note])))
+            took = "" if cell.seconds is None else f" after {_duration(cell.seconds)}"
+            self.print(": ".join(filter(None, [f"{name} {state}{took}", note])))
 
-    def say(self, text: str) -> None:
-        """Print a line that stays."""
+    def print(self, text: str) -> None:
+        """Print a line above the table."""
         if self.enabled:
             self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def render(self) -> RenderableType:
-        """The table as it is now, as far as the terminal has room for it."""
-        height = self.console.height if self.console.is_terminal else _LINES_OF_A_FILE
-        room = max(3, height - _LINES_AROUND)
-        ordered = sorted(self.lines.values(), key=lambda line: _ORDER.index(line.state))
+        """The table as of now, cut to the height of the terminal."""
+        height = self.console.height if self.console.is_terminal else _HEIGHT_OF_A_FILE
+        room = max(3, height - _OTHER_LINES)
+        ordered = sorted(self.cells.values(), key=lambda cell: _ORDER.index(cell.state))
         table = Table(box=box.SIMPLE_HEAD, title=Text(self.title), title_justify="left")
         table.add_column("cell", overflow="ellipsis", no_wrap=True)
         table.add_column("state")
         for name in ("robot minutes", "success", "epoch", "time"):
             table.add_column(name, justify="right", no_wrap=True)
-        for line in ordered[:room]:
-            state = Text(line.state, style=_STYLES.get(line.state, "dim"))
-            if line.note:
-                state.append(f" {line.note}", style="dim")
-            table.add_row(Text(line.name), state, *map(Text, self._numbers(line)))
+        for cell in ordered[:room]:
+            state = Text(cell.state, style=_STYLES.get(cell.state, "dim"))
+            if cell.note:
+                state.append(f" {cell.note}", style="dim")
+            table.add_row(Text(cell.name), state, *map(Text, self._numbers(cell)))
         return Group(table, Text(self._summary(len(ordered) - room)))
 
-    def _numbers(self, line: Line) -> tuple[str, str, str, str]:
-        row = line.row or {}
+    def _numbers(self, cell: CellProgress) -> tuple[str, str, str, str]:
+        row = cell.row or {}
         minutes = row.get("robot_minutes")
-        used = "" if minutes is None else f"{minutes:.2f} of {line.budget_minutes:g}"
+        used = "" if minutes is None else f"{minutes:.2f} of {cell.budget_minutes:g}"
         success = row.get("success")
-        seconds = line.seconds
-        if line.state == "running" and line.started is not None:
-            seconds = self._clock() - line.started
+        seconds = cell.seconds
+        if cell.state == "running" and cell.started is not None:
+            seconds = self._clock() - cell.started
         return (
-            used or f"{line.budget_minutes:g}",
+            used or f"{cell.budget_minutes:g}",
             "" if success is None else f"{success:.0%}",
             str(row.get("epoch", "")),
             "" if seconds is None else _duration(seconds),
         )
 
     def _summary(self, hidden: int) -> str:
-        counts = Counter(line.state for line in self.lines.values())
-        told = ", ".join(f"{counts[state]} {state}" for state in _ORDER if counts[state])
+        counts = Counter(cell.state for cell in self.cells.values())
+        states = ", ".join(f"{counts[state]} {state}" for state in _ORDER if counts[state])
         more = f" ({hidden} not shown)" if hidden > 0 else ""
-        return f"{len(self.lines)} cells: {told}{more}"
+        return f"{len(self.cells)} cells: {states}{more}"
 
 
 def _duration(seconds: float) -> str:

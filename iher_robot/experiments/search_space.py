@@ -1,4 +1,4 @@
-"""The section ``search`` of a manifest: which settings are tried, and what is asked of them."""
+"""Section ``search`` of a manifest: the search space, the objective and the number of trials."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Parameter(Section):
     high: float | None = None
     """Largest value."""
     log: bool = False
-    """Draw from the range by its logarithm."""
+    """Draw on a logarithmic scale."""
     integer: bool = False
-    """Draw whole numbers only."""
+    """Draw integers."""
     choices: tuple[Any, ...] = ()
-    """Values to choose from, in place of a range."""
+    """Values to choose from, instead of a range."""
 
     @property
     def ends(self) -> tuple[Any, ...]:
@@ -42,13 +42,13 @@ class _Head(Section):
     parameters: dict[str, Any] = Field(min_length=1)
     """Ranges or choices by dotted key, such as ``learner.ddpg.gamma: {low: 0.9, high: 0.99}``."""
     objective: Objective
-    """What is sought: few robot minutes to a success rate, or a high last rate."""
+    """Fewest robot minutes to a success rate, or the highest success rate at the budget."""
     success: float = Field(default=0.9, gt=0, le=1)
-    """The success rate of ``minutes-to-success``."""
+    """Success rate of ``minutes-to-success``."""
     trials: int = Field(ge=1)
-    """How many settings are tried; each runs every cell of the grid."""
+    """Number of trials; each runs every cell of the grid."""
     seed: int = Field(default=0, ge=0, lt=2**32)
-    """Decides what is tried."""
+    """Seed of the sampler."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ class Search:
 
     Attributes:
         parameters: Ranges or choices by dotted key.
-        objective: What is sought.
-        success: The success rate of ``minutes-to-success``.
-        trials: How many settings are tried.
-        seed: Decides what is tried.
+        objective: Objective.
+        success: Success rate of ``minutes-to-success``.
+        trials: Number of trials.
+        seed: Seed of the sampler.
     """
 
     parameters: dict[str, Parameter]
@@ -72,7 +72,7 @@ class Search:
     def ends(self) -> Iterator[dict[str, Any]]:
         """Settings with each end of a range and each choice, the other parameters at their first.
 
-        Settings may have to fit each other: to leave the others out would refuse what fits.
+        Settings can depend on each other: leaving the others out would refuse valid ones.
         """
         first = {key: parameter.ends[0] for key, parameter in self.parameters.items()}
         for key, parameter in self.parameters.items():
@@ -99,7 +99,7 @@ def _checked(parameter: Parameter, layer: Layer, key: str) -> Parameter:
     low, high = parameter.low, parameter.high
     if parameter.choices:
         if low is not None or high is not None or parameter.log or parameter.integer:
-            raise UserError(f"{origin}: choices stand alone, leave out low, high, log and integer")
+            raise UserError(f"{origin}: choices exclude low, high, log and integer; leave them out")
         if not all(isinstance(c, str | int | float | bool) or c is None for c in parameter.choices):
             raise UserError(f"{origin}: choices are text, numbers, true, false or null")
         return parameter

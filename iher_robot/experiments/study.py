@@ -1,4 +1,4 @@
-"""The study of a search: Optuna's own storage, which also says what was sought."""
+"""Optuna study of a search: its storage, its distributions and the check of its origin."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _STUDY = "search"
 
 
 def open_study(folder: ExperimentFolder, search: Search, cells: Iterable[Cell]) -> Any:
-    """Open the study in an experiment's folder, or make it.
+    """Open the study in an experiment's folder, or create it.
 
     Args:
         folder: Folder of the experiment.
         search: The search.
-        cells: What each trial runs, without the settings of any.
+        cells: Cells of each trial, without the settings that the search draws.
 
     Returns:
         An Optuna study, in a SQLite file.
 
     Raises:
-        UserError: Optuna is missing, or the study there is of another search.
+        UserError: Optuna is missing, or the study in the folder belongs to another search.
     """
     try:
         import optuna
@@ -43,12 +43,13 @@ def open_study(folder: ExperimentFolder, search: Search, cells: Iterable[Cell]) 
         direction="minimize" if minimise else "maximize",
         load_if_exists=True,
     )
-    wanted = {"objective": search.objective, "success": search.success, "grid": _digest(cells)}
-    there = study.user_attrs
-    for name, value in wanted.items():
-        if name in there and there[name] != value:
-            told = f"{there[name]!r}, and {value!r}" if name != "grid" else "another one than that"
-            raise _other(folder, f"its {name} is {told} in the manifest")
+    expected = {"objective": search.objective, "success": search.success, "grid": _digest(cells)}
+    stored = study.user_attrs
+    for name, value in expected.items():
+        if name in stored and stored[name] != value:
+            if name == "grid":
+                raise _other(folder, "its grid is not that of the manifest")
+            raise _other(folder, f"its {name} is {stored[name]!r}, and {value!r} in the manifest")
         study.set_user_attr(name, value)
     _require_same_parameters(study, folder, distributions_of(search))
     return study
@@ -65,7 +66,7 @@ def is_whole(trial: Any, distributions: Mapping[str, Any]) -> bool:
 
 
 def _digest(cells: Iterable[Cell]) -> str:
-    """Changes with everything that a trial's value depends on, but for what the search draws."""
+    """Digest of everything that a trial's value depends on, except what the search draws."""
     content = [[cell.identity.as_row(), plain_identity(cell.config)] for cell in cells]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -78,11 +79,13 @@ def _require_same_parameters(
         if any(drawn[key] != distributions.get(key) for key in drawn) or (
             trial.state.is_finished() and drawn and not is_whole(trial, distributions)
         ):
-            raise _other(folder, "it has other ranges or choices than the manifest's")
+            raise _other(folder, "its ranges or choices are not those of the manifest")
 
 
 def _other(folder: ExperimentFolder, what: str) -> UserError:
-    return UserError(f"the search in {folder.path} is another one: {what}; choose another --out")
+    return UserError(
+        f"the search in {folder.path} is a different one: {what}; choose another --out"
+    )
 
 
 def _distribution(parameter: Parameter) -> Any:

@@ -68,9 +68,7 @@ class ControlLoop:
             tick_log: Gets an entry for each tick, None for no log.
         """
         self.boot = os.urandom(8).hex()
-        self._robot = robot
-        self._total = total
-        self._memory = memory
+        self._robot, self._total, self._memory = robot, total, memory
         self._channel = channel
         self._heartbeat = heartbeat
         self._clock = clock

@@ -38,7 +38,7 @@ class GoalModel(Protocol):
 
 
 def moved_goal(model: GoalModel, episode: Episode, threshold_m: float = MOVED_M) -> bool:
-    """Whether the achieved goal was ever farther from where it began than the threshold."""
+    """Whether the achieved goal was ever farther from its start than the threshold."""
     achieved = model.achieved_goal(torch.as_tensor(episode.observations))
     displacement = torch.linalg.vector_norm(achieved - achieved[0], dim=-1).amax()
     return bool(displacement > threshold_m)

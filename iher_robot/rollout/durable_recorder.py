@@ -30,7 +30,7 @@ class DurableRecorder(Recorder):
         store: Keeps the ticks.
         reserve: Reserves them.
         ledger: Accounts of the run.
-        header: Makes the header from the source that the policy is told and the reservation.
+        header: Makes the header from the policy source and the reservation.
         jitter: Measures the time between states; None for no measurement.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,25 +60,14 @@ def restore(
         UserError: A part is missing, damaged, or older than another.
     """
     state = load_checkpoint(directory.checkpoint_path)
-    by_epoch: dict[int, list[Episode]] = defaultdict(list)
-    ticks: dict[int, int] = defaultdict(int)
-    spent: dict[Account, int] = defaultdict(int)
     newest_entry = 0 if state is None else int(state["run"]["ledger_entry"])
-    collected = 0
-    for stored in store:
-        _settle(stored, store, ledger)
-        spent[stored.account] += int(stored.elapsed.sum())
-        newest_entry = max(newest_entry, stored.entry)
-        if stored.account == "motion":
-            by_epoch[stored.epoch].append(stored.episode)
-            ticks[stored.epoch] += int(stored.elapsed.sum())
-            collected += 1
-    _check_ledger(ledger, spent, newest_entry)
+    by_epoch, ticks = _read_epochs(store, ledger, newest_entry)
+    collected = sum(map(len, by_epoch.values()))
     if config.from_data:
         by_epoch[1] = _read_warm_start(directory)
     finished = 0 if state is None else int(state["learner"]["epoch"])
     newest = max(by_epoch, default=0)
-    # Beside the robot an epoch is learned while the next one is collected.
+    # An asynchronous run learns an epoch while it collects the next one.
     ahead = 2 if config.asynchronous else 1
     if newest > finished + ahead:
         raise UserError(
@@ -92,20 +82,44 @@ def restore(
         if config.from_data:
             pending[0].earlier = True
         return Restored(None, [], [], pending, collected)
-    run = state["run"]
+    found = collected - sum(len(epoch.episodes) for epoch in pending)
+    _check_run(state["run"], directory, config, finished, found)
+    epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
+    return Restored(state["learner"], state["run"]["rows"], epochs, pending, collected)
+
+
+def _read_epochs(
+    store: EpisodeStore, ledger: Ledger, newest_entry: int
+) -> tuple[dict[int, list[Episode]], dict[int, int]]:
+    """Read the episodes of motion and their ticks, by epoch, and check them with the ledger."""
+    by_epoch: dict[int, list[Episode]] = defaultdict(list)
+    ticks: dict[int, int] = defaultdict(int)
+    spent: dict[Account, int] = defaultdict(int)
+    for stored in store:
+        _settle(stored, store, ledger)
+        spent[stored.account] += int(stored.elapsed.sum())
+        newest_entry = max(newest_entry, stored.entry)
+        if stored.account == "motion":
+            by_epoch[stored.epoch].append(stored.episode)
+            ticks[stored.epoch] += int(stored.elapsed.sum())
+    _check_ledger(ledger, spent, newest_entry)
+    return by_epoch, ticks
+
+
+def _check_run(
+    run: Mapping[str, Any], directory: RunDirectory, config: RunConfig, finished: int, found: int
+) -> None:
+    """Check that settings and episodes are those of the checkpoint."""
     if run["config"] != dump_identity(config):
         raise UserError(
             f"{directory.config_path} is not what the run was started with; put it back, or start "
             "a new run with another --out"
         )
-    epochs = [by_epoch[epoch] for epoch in range(1, finished + 1)]
-    found = collected - sum(len(epoch.episodes) for epoch in pending)
     if found != run["episodes"]:
         raise UserError(
             f"{directory.episodes_path} holds {found} episodes of the epochs up to {finished}, "
             f"the run collected {run['episodes']}; put the missing files back"
         )
-    return Restored(state["learner"], run["rows"], epochs, pending, collected)
 
 
 def _settle(stored: StoredEpisode, store: EpisodeStore, ledger: Ledger) -> None:

@@ -6,23 +6,14 @@ import datetime
 import math
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
-from iher_robot.config.robot import ChosenRobot
-from iher_robot.config.run import (
-    RunConfig,
-    RunOptions,
-    change_simulators,
-    check_options,
-    dump_config,
-    load_config,
-    read_config,
-)
+from iher_robot.config.options import RunOptions, check_options, load_config
+from iher_robot.config.run import RunConfig, change_simulators, dump_config, read_config
 from iher_robot.env.operator import Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import check_fit, load_trained_policy
@@ -36,68 +27,15 @@ from iher_robot.storage.episode_store import EpisodeStore
 from iher_robot.storage.interface import keep_interface
 from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.provenance import collect_provenance
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.storage.run_directory import RunDirectory, default_run_path
 from iher_robot.storage.run_result import RunResult, write_result
 from iher_robot.training.display import TrainingDisplay
-from iher_robot.training.listener import RunListener, RunListeners, SuccessPlot
+from iher_robot.training.listener import Row, RunListener, RunListeners, SuccessPlot
 from iher_robot.training.loop import TrainingRun
+from iher_robot.training.result import TrainResult
 from iher_robot.training.setup import TrainingSetup, open_training_setup
 from iher_robot.training.warm_start import check_sources, copy_sources
-
-
-@dataclass(frozen=True)
-class TrainResult:
-    """How a run ended.
-
-    Attributes:
-        directory: The run folder.
-        policy: The policy file.
-        success_rate: Success of the last evaluation while training, NaN if there was none.
-        final: What the policy did over fresh episodes in the end; None on a physical robot.
-        robot_minutes: Robot minutes spent.
-        budget_minutes: Robot minutes granted.
-        wall_seconds: Wall-clock time, interruptions left out.
-        epochs: Epochs done.
-        plot: The plot of success against robot minutes.
-        robot: The robot of the run.
-        video: The film of the final policy, if there is one.
-        ticks: Timing of the control ticks, as a sentence; empty in simulation.
-    """
-
-    directory: Path
-    policy: Path
-    success_rate: float
-    final: EvaluationResult | None
-    robot_minutes: float
-    budget_minutes: float
-    wall_seconds: float
-    epochs: int
-    plot: Path
-    robot: ChosenRobot
-    video: Path | None
-    ticks: str
-
-    def summary(self) -> str:
-        """The result in a few lines."""
-        epochs = "epoch" if self.epochs == 1 else "epochs"
-        wall = datetime.timedelta(seconds=round(self.wall_seconds))
-        ticks = f"ticks   {self.ticks}\n" if self.ticks else ""
-        film = "" if self.video is None else f"video   {self.video}\n"
-        if self.final is None:
-            result = f"{self.success_rate:.0%} success in the last evaluation"
-        else:
-            result = f"success in {self.final.episodes} fresh episodes: {self.final.rate}"
-        return (
-            f"{result}, after "
-            f"{self.robot_minutes:.2f} of {self.budget_minutes:g} robot minutes, "
-            f"{self.epochs} {epochs}, {wall} of wall clock\n"
-            f"policy  {self.policy}\n"
-            f"plot    {self.plot}\n"
-            f"{ticks}"
-            f"{film}"
-            f"check   iher-robot evaluate {shlex.quote(str(self.policy))} --episodes 100"
-            f"{self.robot.command_options}"
-        )
 
 
 def train(
@@ -179,34 +117,55 @@ def resume(
 def _train(
     setup: TrainingSetup, directory: RunDirectory, *, display: bool, video: bool
 ) -> TrainResult:
-    provenance = _collect_provenance(setup)
     with ExitStack() as stack:
-        ledger = stack.enter_context(Ledger(directory.ledger_path))
-        directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
-        budget = Budget(ledger, setup.budget)
-        minutes = budget.total.minutes
-        keep_interface(directory.episodes_path, setup.env.policy_interface())
-        if not directory.checkpoint_path.exists():  # later another copy would be another run
-            copy_sources(setup.config.from_data, directory.warm_start_path)
-        durable = setup.simulator is None  # a robot that a person waits for: each tick is kept
-        store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
-        listener = _open_listeners(stack, setup, directory, provenance, minutes, display=display)
-        listener.announce(setup.describe_budget(budget.total, budget.spent))
+        run = _open_run(stack, setup, directory, display=display)
         try:
-            run = TrainingRun(setup, directory, budget, store, listener, provenance)
-            last = run.run()
+            run.run()
         except KeyboardInterrupt as error:
             path = shlex.quote(str(directory.path))
             error.add_note(f"continue with: iher-robot train --resume {path}")
             raise
         # An asynchronous run has collected an epoch that is not in the last row.
-        spent_minutes = budget.spent.minutes
+        spent, granted = run.budget.spent, run.budget.total
     final = _final_evaluation(setup, directory, video=video)
-    success = next((row["success"] for row in reversed(run.rows) if "success" in row), None)
+    return _finish(setup, directory, run.rows, spent, granted, final)
+
+
+def _open_run(
+    stack: ExitStack, setup: TrainingSetup, directory: RunDirectory, *, display: bool
+) -> TrainingRun:
+    """Open the records of a run, and announce what its budget means."""
+    provenance = _collect_provenance(setup)
+    ledger = stack.enter_context(Ledger(directory.ledger_path))
+    directory.result_path.unlink(missing_ok=True)  # with more minutes, a run goes on
+    budget = Budget(ledger, setup.budget)
+    keep_interface(directory.episodes_path, setup.env.policy_interface())
+    if not directory.checkpoint_path.exists():  # later another copy would be another run
+        copy_sources(setup.config.from_data, directory.warm_start_path)
+    durable = setup.simulator is None  # a robot that a person waits for: each tick is kept
+    store = stack.enter_context(EpisodeStore(directory.episodes_path, durable_ticks=durable))
+    listener = _open_listeners(
+        stack, setup, directory, provenance, budget.total.minutes, display=display
+    )
+    listener.announce(setup.describe_budget(budget.total, budget.spent))
+    return TrainingRun(setup, directory, budget, store, listener, provenance)
+
+
+def _finish(
+    setup: TrainingSetup,
+    directory: RunDirectory,
+    rows: Sequence[Row],
+    spent: RobotTime,
+    granted: RobotTime,
+    final: EvaluationResult | None,
+) -> TrainResult:
+    """Write the result of a run and return it."""
+    last = rows[-1]
+    success = next((row["success"] for row in reversed(rows) if "success" in row), None)
     result = RunResult(
         epochs=int(last["epoch"]),
-        robot_minutes=spent_minutes,
-        budget_minutes=minutes,
+        robot_minutes=spent.minutes,
+        budget_minutes=granted.minutes,
         success=None if success is None else float(success),
         final_successes=None if final is None else final.successes,
         final_episodes=0 if final is None else final.episodes,
@@ -218,14 +177,14 @@ def _train(
         policy=directory.policy_path,
         success_rate=math.nan if success is None else success,
         final=final,
-        robot_minutes=spent_minutes,
-        budget_minutes=minutes,
+        robot_minutes=result.robot_minutes,
+        budget_minutes=result.budget_minutes,
         wall_seconds=result.wall_seconds,
         epochs=result.epochs,
         plot=directory.plot_path,
         robot=setup.config.chosen_robot,
         video=None if final is None else final.video,
-        ticks=describe_jitter(run.rows),
+        ticks=describe_jitter(rows),
     )
 
 

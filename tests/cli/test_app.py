@@ -1,4 +1,4 @@
-"""The command line: what it passes on, and one sentence with exit code 2 for bad input."""
+"""The command line: options passed on, and one sentence with exit code 2 for bad input."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from tests.small_runs import TINY
 
 Run = Callable[..., "Outcome"]
 
-# Bad input is refused before anything moves; a test that finds it is not, ends soon all the same.
+# Bad input is refused before anything moves; otherwise the test still ends soon.
 ONE_EPISODE = ("--budget-minutes", "0.04")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one invocation of the command line did."""
+    """Result of one invocation of the command line."""
 
     code: object
     out: str
@@ -59,7 +59,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 @dataclass
 class Recorder:
-    """Stands in for an application: remembers its arguments and has a result to print."""
+    """Replaces an application: records its arguments and has a result to print."""
 
     error: BaseException | None = None
     args: tuple[object, ...] = ()
@@ -125,7 +125,7 @@ def test_train_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch)
     }
 
 
-def test_train_leaves_to_the_application_what_is_not_given(
+def test_train_passes_defaults_for_missing_options(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train = replace(monkeypatch, "training.train", "train")
@@ -236,7 +236,7 @@ def test_view_passes_every_option_on(run: Run, monkeypatch: pytest.MonkeyPatch) 
     assert (view.kwargs["policy"], view.kwargs["episodes"]) == (None, None)
 
 
-def test_view_and_films_need_something_to_draw_on(
+def test_view_and_videos_need_a_display(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
@@ -247,7 +247,7 @@ def test_view_and_films_need_something_to_draw_on(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupted_run_says_how_to_resume(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_prints_how_to_resume(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     train = replace(monkeypatch, "training.train", "train")
     train.error = KeyboardInterrupt()
     Path("there").mkdir()
@@ -267,7 +267,7 @@ def test_an_interrupted_run_says_how_to_resume(run: Run, monkeypatch: pytest.Mon
     assert "--resume runs/named\n" in run("train", "--task", "push").err
 
 
-def test_an_interrupt_that_left_no_run_promises_none(
+def test_an_interrupt_without_a_run_prints_no_resume(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replace(monkeypatch, "training.train", "train").error = KeyboardInterrupt()
@@ -331,7 +331,7 @@ def test_sigterm_settles_the_ledger_and_the_run_can_be_resumed(tmp_path: Path) -
     assert ticks(out)[0] == 300
 
 
-def test_sigterm_ends_a_run_wherever_it_is_raised(tmp_path: Path) -> None:
+def test_sigterm_ends_a_run_at_any_point(tmp_path: Path) -> None:
     out = tmp_path / "run"
     stopped = terminated_train(out, IN_A_FINALIZER="1")
 
@@ -432,7 +432,7 @@ def test_a_run_folder_that_cannot_be_made_is_named(run: Run, tmp_path: Path) -> 
     assert_one_sentence(outcome, "file/there")
 
 
-def test_a_file_that_is_no_policy_is_refused(run: Run, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_policy_is_refused(run: Run, tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
     whole = (tmp_path / "foreign.pt").read_bytes()
     (tmp_path / "truncated.pt").write_bytes(whole[: len(whole) // 2])
@@ -506,7 +506,7 @@ def test_a_sealed_policy_that_cannot_act_is_named(
     assert_one_sentence(outcome, "bad.pt holds no policy that can act", part)
 
 
-def test_a_video_is_refused_for_its_name_before_packages_are_missed(
+def test_a_bad_video_name_is_reported_before_missing_packages(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio.v2", None)
@@ -520,7 +520,7 @@ def test_a_video_is_refused_for_its_name_before_packages_are_missed(
             pass
 
 
-def test_no_words_print_the_help(run: Run) -> None:
+def test_no_arguments_print_the_help(run: Run) -> None:
     outcome = run()
 
     assert outcome.code == 0

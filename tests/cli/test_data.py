@@ -61,7 +61,7 @@ def test_no_run_is_one_sentence(run: Run, words: str) -> None:
     Path("empty").mkdir()
     where = words.partition(" ")[2] or "runs"
 
-    assert run(words) == (0, f"there is no run in {where}; iher-robot train makes one\n", "")
+    assert run(words) == (0, f"there is no run in {where}; iher-robot train creates one\n", "")
 
 
 def test_what_the_data_are(run: Run) -> None:

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from iher_robot.config import layers as config_source
-from iher_robot.config.run import RunConfig, dump_config, load_config, read_config
+from iher_robot.config.options import load_config
+from iher_robot.config.run import RunConfig, dump_config, read_config
 from iher_robot.errors import UserError
 from iher_robot.learning.config import DDPGConfig
 from tests.repository import ROOT

@@ -1,4 +1,4 @@
-"""What an operator does at the command line: doctor, home, stop, clear-fault."""
+"""Operator commands: doctor, home, stop, clear-fault."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import iher_robot
 from drivers import EMERGENCY_STOP, Mode, ResetOutcome, ResetRequest, ResetResult
 from drivers.remote.messages import Empty
 from iher_robot.cli.app import main
-from iher_robot.config import robot_link as robot_link_part_module
+from iher_robot.config import robot_link as robot_link_module
 from iher_robot.deployment import commands as commands_module
 from tests.drivers.fake_robot import FakeRobot
 from tests.repository import ROOT
@@ -36,7 +36,7 @@ STILL = 5e-3
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one invocation of the command line did."""
+    """Result of one invocation of the command line."""
 
     code: object
     out: str
@@ -77,7 +77,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedRobot]:
 
 @pytest.fixture
 def served(host: ServedRobot) -> Iterator[ServedRobot]:
-    """The robot, on which no test leaves a fault."""
+    """The served robot; faults are cleared after each test."""
     yield host
     with Observer(host.endpoint) as observer:
         fault = observer.newest[1].fault
@@ -91,7 +91,7 @@ def status(served: ServedRobot) -> dict[str, Any]:
 
 
 def mover(served: ServedRobot) -> subprocess.Popen[str]:
-    """Start a client that keeps the robot moving, and wait until it does."""
+    """Start a client that keeps the robot moving; wait until it moves."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.served.mover", served.endpoint, "never"],
         stdout=subprocess.PIPE,
@@ -112,7 +112,7 @@ def end(process: subprocess.Popen[str]) -> None:
 # stop
 
 
-def test_a_stop_is_acknowledged_and_says_how_the_robot_stands(
+def test_a_stop_is_acknowledged_and_prints_the_state_of_the_robot(
     run: Run, served: ServedRobot
 ) -> None:
     moving = mover(served)
@@ -132,7 +132,7 @@ def test_a_stop_is_acknowledged_and_says_how_the_robot_stands(
         assert eventually(lambda: float(np.abs(observer.newest[0].dq).max()) < STILL)
 
 
-def test_a_stop_that_nobody_hears_is_not_confirmed(run: Run) -> None:
+def test_a_stop_without_a_host_is_not_confirmed(run: Run) -> None:
     outcome = run("stop", "--connect", f"tcp/127.0.0.1:{free_port()}", "--patience", "0.5")
     assert outcome.code == 1, outcome
     assert "NOT CONFIRMED" in outcome.out + outcome.err
@@ -169,7 +169,7 @@ def test_a_stop_tries_until_the_host_is_there(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         text=True,
     )
-    threading.Event().wait(2.0)  # some attempts come to nothing
+    threading.Event().wait(2.0)  # some attempts fail
     try:
         with ServedRobot(tmp_path / "memory", port=port) as served:
             assert trying.wait(120.0) == 0
@@ -199,19 +199,19 @@ def test_a_stop_waits_for_no_learning_library() -> None:
 
 
 @pytest.mark.parametrize("patience", ["0", "-1", "nan", "1e9"])
-def test_patience_that_is_none_is_refused(run: Run, patience: str) -> None:
+def test_a_patience_out_of_range_is_refused(run: Run, patience: str) -> None:
     run("stop", "--patience", patience).assert_one_sentence("patience", "allowed")
 
 
 @pytest.mark.parametrize("words", [("stop",), ("clear-fault", EMERGENCY_STOP)])
-def test_a_robot_without_a_host_cannot_be_told_from_outside(
+def test_a_robot_without_a_host_takes_no_commands(
     run: Run, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     (tmp_path / "robot.yaml").write_text("driver: mujoco\n")
     run(*words).assert_one_sentence("mujoco", "driver")
 
 
-def test_a_robot_file_that_is_wrong_says_where(run: Run, tmp_path: Path) -> None:
+def test_a_wrong_key_in_a_robot_file_is_named(run: Run, tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text("timeout: 1\n")
     for words in (("stop",), ("clear-fault", "x"), ("doctor",), ("home", "--yes")):
         run(*words).assert_one_sentence("timeout", "timeout_s")
@@ -230,15 +230,15 @@ def test_a_stop_is_sent_whatever_its_reason_is_and_the_first_one_is_kept(
     assert "a second one" not in second.out
 
 
-def test_what_a_stranger_gave_as_a_reason_is_shown_without_control_characters(
+def test_a_reason_from_the_network_is_shown_without_control_characters(
     run: Run, served: ServedRobot
 ) -> None:
     with Observer(served.endpoint) as observer:
         observer.client.stop("\x1b[31mred", "\x1b[2Jall is well", 5.0)
     for words in (("stop",), ("doctor",), ("clear-fault", "x"), ("home", "--yes")):
         outcome = run(*words, "--connect", served.endpoint)
-        told = "latched: 'emergency_stop'" if words[0] == "clear-fault" else "all is well"
-        assert told in outcome.out + outcome.err, outcome
+        expected = "latched: 'emergency_stop'" if words[0] == "clear-fault" else "all is well"
+        assert expected in outcome.out + outcome.err, outcome
         assert "\x1b" not in outcome.out + outcome.err
 
 
@@ -260,12 +260,12 @@ def test_a_fault_is_cleared_by_its_name_and_nothing_is_armed(run: Run, served: S
 
 
 @pytest.mark.parametrize("name", ["", "x" * 300])
-def test_a_name_that_no_fault_has_is_refused(run: Run, served: ServedRobot, name: str) -> None:
+def test_a_name_of_bad_length_is_refused(run: Run, served: ServedRobot, name: str) -> None:
     run("clear-fault", name, "--connect", served.endpoint).assert_one_sentence("fault")
 
 
 @pytest.mark.parametrize("words", [("clear-fault", "x"), ("home", "--yes"), ("doctor",)])
-def test_without_a_host_it_says_how_to_start_one(
+def test_without_a_host_the_error_says_how_to_start_one(
     run: Run, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     (tmp_path / "robot.yaml").write_text("connect_timeout_s: 0.5\n")
@@ -310,7 +310,7 @@ def test_home_of_a_robot_that_is_stopped_or_in_use_is_refused(
         run("home", "--yes").assert_one_sentence("is used by")
 
 
-def test_home_goes_on_in_the_scene_that_the_host_serves(run: Run, tmp_path: Path) -> None:
+def test_home_works_in_the_scene_that_the_host_serves(run: Run, tmp_path: Path) -> None:
     with ServedRobot(tmp_path / "memory", "--scene", "reach") as served:
         outcome = run("home", "--yes", "--connect", served.endpoint)
         assert outcome.code == 0, outcome
@@ -318,7 +318,7 @@ def test_home_goes_on_in_the_scene_that_the_host_serves(run: Run, tmp_path: Path
 
 
 class Interrupted(FakeRobot):
-    """Is interrupted on its way home."""
+    """Raises KeyboardInterrupt on its way home."""
 
     def _reset(self, request: ResetRequest) -> ResetResult:
         raise KeyboardInterrupt
@@ -328,7 +328,7 @@ def test_an_interrupt_on_the_way_home_stops_the_robot(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = Interrupted()
-    monkeypatch.setattr(robot_link_part_module, "make_driver", lambda *_, **__: robot)
+    monkeypatch.setattr(robot_link_module, "make_driver", lambda *_, **__: robot)
     outcome = run("home", "--yes", "--driver", "mujoco")
     assert outcome.code == 130, outcome
     assert "a stop was sent" in outcome.err
@@ -339,10 +339,10 @@ def test_an_interrupt_on_the_way_home_stops_the_robot(
 def test_home_that_is_not_reached_is_an_error(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = FakeRobot()
     robot.outcomes = [ResetOutcome.FAILED]
-    monkeypatch.setattr(robot_link_part_module, "make_driver", lambda *_, **__: robot)
+    monkeypatch.setattr(robot_link_module, "make_driver", lambda *_, **__: robot)
     outcome = run("home", "--yes", "--driver", "mujoco")
     assert outcome.code == 2, outcome
-    assert "did not get home" in outcome.err
+    assert "did not reach home" in outcome.err
 
 
 def test_home_of_a_simulation_in_this_process(run: Run) -> None:
@@ -352,14 +352,14 @@ def test_home_of_a_simulation_in_this_process(run: Run) -> None:
 
 
 @pytest.mark.parametrize("speed", ["0", "1.5", "nan"])
-def test_a_speed_that_is_none_is_refused(run: Run, speed: str) -> None:
+def test_a_speed_out_of_range_is_refused(run: Run, speed: str) -> None:
     run("home", "--yes", "--speed", speed).assert_one_sentence("speed", "allowed")
 
 
 # doctor
 
 
-def test_doctor_says_what_a_robot_is_and_how_it_is_reached(run: Run, served: ServedRobot) -> None:
+def test_doctor_prints_specification_state_and_link(run: Run, served: ServedRobot) -> None:
     with Observer(served.endpoint) as observer:
         spec = observer.spec
     with served.driver():
@@ -375,7 +375,7 @@ def test_doctor_says_what_a_robot_is_and_how_it_is_reached(run: Run, served: Ser
         "round trip",
         "p99",
         "disarmed",
-        f":{os.getpid()}",  # who has the lease
+        f":{os.getpid()}",  # holder of the lease
     ):
         assert part in outcome.out, part
     assert "stopped by" not in outcome.out
@@ -403,16 +403,16 @@ def test_doctor_finds_a_latched_fault(run: Run, served: ServedRobot) -> None:
     assert "smoke" in outcome.out
 
 
-def test_doctor_finds_an_object_that_nobody_sees(run: Run, tmp_path: Path) -> None:
+def test_doctor_finds_an_object_without_a_pose(run: Run, tmp_path: Path) -> None:
     with ServedRobot(tmp_path / "memory", "--perception", "object0") as served:
         outcome = run("doctor", "--connect", served.endpoint)
         assert outcome.code == 1, outcome
-        assert "nobody has seen object0" in outcome.out
+        assert "no pose of object0 was received yet" in outcome.out
 
 
 def test_doctor_moves_no_physical_robot(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = FakeRobot()
-    monkeypatch.setattr(robot_link_part_module, "make_driver", lambda *_, **__: robot)
+    monkeypatch.setattr(robot_link_module, "make_driver", lambda *_, **__: robot)
     outcome = run("doctor", "--driver", "mujoco")
     assert "PHYSICAL" in outcome.out
     assert "reset" not in robot.calls

@@ -1,4 +1,4 @@
-"""A policy on a robot: what is checked first, what is logged, and how it may end."""
+"""Deployment of a policy on a robot: checks, log, and all endings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TICKS = 50
 
 
 class Robot(FakeRobot):
-    """Remembers where it was at the end of each tick, and fails at one of them."""
+    """Records its position at the end of each tick; can fail at one of them."""
 
     def __init__(self, spec: RobotSpec | None = None) -> None:
         super().__init__(spec)
@@ -79,7 +79,7 @@ class Quality:
 
 
 class LinkedRobot(Robot):
-    """Is reached over a link of known quality."""
+    """Has a link of known quality."""
 
     quality = Quality(0.5, 1.0)
 
@@ -117,7 +117,7 @@ def policy(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def serve(monkeypatch: pytest.MonkeyPatch) -> Callable[[FakeRobot], None]:
-    """Make a robot the one that every driver name stands for."""
+    """Make every driver name return a robot."""
     return lambda robot: monkeypatch.setattr(goal_env_module, "make_driver", lambda *_, **__: robot)
 
 
@@ -130,7 +130,7 @@ def robot(serve: Callable[[FakeRobot], None]) -> Robot:
 
 @pytest.fixture
 def full_action(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every policy ask for full speed, there and back."""
+    """Let every policy command full speed, back and forth."""
     ways: Iterator[float] = iter(np.where(np.arange(10_000) // 4 % 2 == 0, 1.0, -1.0))
     full = np.array([1.0, 1.0, 1.0, 0.0], np.float32)
     monkeypatch.setattr(PolicyActor, "act", lambda *_: full * np.float32(next(ways)))
@@ -155,7 +155,7 @@ def document(out: Path = OUT) -> dict[str, Any]:
 # Before anything moves
 
 
-def test_a_dry_run_looks_at_everything_and_moves_nothing(policy: Path, robot: Robot) -> None:
+def test_a_dry_run_checks_everything_and_moves_nothing(policy: Path, robot: Robot) -> None:
     said: list[str] = []
     result = run(policy, dry_run=True, yes=False, speed=0.5, echo=said.append)
 
@@ -171,7 +171,7 @@ def test_a_dry_run_looks_at_everything_and_moves_nothing(policy: Path, robot: Ro
     assert "warning" not in plan
 
 
-def test_without_a_terminal_it_does_not_start_unasked(policy: Path, robot: Robot) -> None:
+def test_without_a_terminal_it_does_not_start_unconfirmed(policy: Path, robot: Robot) -> None:
     with pytest.raises(UserError, match=r"no terminal.*--yes"):
         run(policy, yes=False)
     with pytest.raises(UserError, match=r"no terminal.*--label"):
@@ -257,7 +257,7 @@ def test_another_controller_is_a_warning(tmp_path: Path, robot: Robot) -> None:
 def test_a_latched_fault_is_named_with_the_command_that_clears_it(
     policy: Path, robot: Robot
 ) -> None:
-    robot.stop("somebody pressed it", "panic")
+    robot.stop("an operator pressed it", "panic")
     with pytest.raises(UserError, match=r"'panic'.*pressed it.*iher-robot clear-fault panic"):
         run(policy)
     assert "reset" not in robot.calls
@@ -283,7 +283,7 @@ def test_a_slow_link_is_refused(
     assert f"{verdict:8} link" in said[0]
 
 
-def test_a_folder_that_holds_something_is_not_written_into(policy: Path, robot: Robot) -> None:
+def test_a_folder_that_is_not_empty_is_refused(policy: Path, robot: Robot) -> None:
     OUT.mkdir()
     (OUT / "kept").touch()
     with pytest.raises(UserError, match=r"log is not empty; choose another with --out"):
@@ -327,7 +327,7 @@ def test_each_line_is_in_the_file_before_the_next_tick(policy: Path, robot: Robo
     assert found == list(range(TICKS))
 
 
-def test_the_folder_says_what_ran_and_how_it_ended(policy: Path, robot: Robot) -> None:
+def test_the_folder_records_settings_provenance_and_result(policy: Path, robot: Robot) -> None:
     result = run(policy, seed=3)
     found = document()
     assert found["ended"] == "done"
@@ -340,7 +340,7 @@ def test_the_folder_says_what_ran_and_how_it_ended(policy: Path, robot: Robot) -
     assert f"log     {OUT}: done, 2 episodes, 100 ticks" in result.summary()
 
 
-def test_real_ticks_of_a_deployment_are_kept_and_counted_as_those_of_a_run(
+def test_ticks_of_a_deployment_are_stored_and_charged_like_those_of_a_run(
     policy: Path, robot: Robot
 ) -> None:
     robot.fail_at(TICKS + 8, LinkLost("gone"))
@@ -366,7 +366,7 @@ def test_folders_are_named_by_time_and_task(policy: Path, robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.25])
-def test_the_speed_limit_is_in_force_and_episodes_last_the_longer(
+def test_the_speed_limit_is_enforced_and_episodes_last_longer(
     policy: Path, robot: Robot, full_action: None, share: float
 ) -> None:
     run(policy, speed=share, episodes=1)
@@ -392,21 +392,21 @@ def test_the_joints_of_the_simulated_robot_are_slowed(tmp_path: Path, full_actio
     assert fastest[1.0] > 2 * fastest[0.25]
 
 
-def test_the_operators_judgement_counts_and_the_tasks_is_kept(policy: Path, robot: Robot) -> None:
+def test_the_operators_label_counts_and_the_tasks_is_kept(policy: Path, robot: Robot) -> None:
     answers = iter(["perhaps", "y", "n", ""])
     said: list[str] = []
     result = run(policy, episodes=3, label=True, ask=lambda _: next(answers), echo=said.append)
 
     records = document()["episodes"]
     assert [record["operator_success"] for record in records] == [True, False, None]
-    judged = [record["task_success"] for record in records]
-    assert [record["success"] for record in records] == [True, False, judged[2]]
-    assert result.successes == 1 + judged[2]
-    assert f"the task itself judged {sum(judged)} of 3 successful" in result.summary()
+    by_task = [record["task_success"] for record in records]
+    assert [record["success"] for record in records] == [True, False, by_task[2]]
+    assert result.successes == 1 + by_task[2]
+    assert f"{sum(by_task)} of 3 succeeded according to the task" in result.summary()
     assert "episode 1 of 3: success, 50 ticks" in said
 
 
-def test_a_person_is_asked_for_a_hand_where_one_is_there(policy: Path, robot: Robot) -> None:
+def test_an_operator_is_asked_for_help_with_a_reset(policy: Path, robot: Robot) -> None:
     asked: list[str] = []
 
     def answer(question: str) -> str:
@@ -425,12 +425,12 @@ def test_a_person_is_asked_for_a_hand_where_one_is_there(policy: Path, robot: Ro
     assert robot.left_alone
 
 
-def test_hands_are_not_clear_because_the_input_ends() -> None:
+def test_the_end_of_the_input_does_not_confirm_clear_hands() -> None:
     def closed(_: str) -> str:
         raise EOFError
 
     operator = Operator(closed)
-    with pytest.raises(UserError, match="nobody answered to 'lift it'"):
+    with pytest.raises(UserError, match="no answer to 'lift it'"):
         operator.help("lift it")
     assert not operator.confirms("Start?")
     assert operator.label(True) is None
@@ -449,7 +449,7 @@ def test_a_robot_that_is_not_at_home_after_its_reset_does_not_act(
     assert len(run(policy, out=Path("other")).episodes) == 2
 
 
-def test_a_joint_outside_its_range_is_no_start(
+def test_a_joint_outside_its_range_prevents_the_start(
     policy: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = FakeRobot._read
@@ -463,7 +463,7 @@ def test_a_joint_outside_its_range_is_no_start(
     assert "apply" not in robot.calls
 
 
-# Whatever ends it
+# Endings
 
 
 def test_an_interrupt_in_a_tick_leaves_the_robot_held_and_the_log_whole(
@@ -488,7 +488,7 @@ def test_an_interrupt_in_a_tick_leaves_the_robot_held_and_the_log_whole(
     assert note == f"the robot is held and disarmed; 0 of 2 episodes succeeded, 57 ticks in {OUT}"
 
 
-def test_an_interrupt_between_ticks_invents_none(
+def test_an_interrupt_between_ticks_logs_no_tick(
     policy: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     act, chosen = PolicyActor.act, 0
@@ -524,14 +524,14 @@ def test_a_robot_that_is_lost_ends_the_deployment_with_one_sentence(
     assert document()["episodes"][0]["ended"].startswith("episode on fake aborted: fake did not")
 
 
-def test_a_robot_that_is_not_there_is_the_drivers_own_sentence(
+def test_an_absent_robot_gives_the_drivers_own_sentence(
     policy: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def absent() -> None:
-        raise LinkLost("nobody answers; start a robot")
+        raise LinkLost("no host answers; start a robot")
 
     monkeypatch.setattr(robot, "_open", absent)
-    with pytest.raises(LinkLost, match=r"^nobody answers; start a robot$"):
+    with pytest.raises(LinkLost, match=r"^no host answers; start a robot$"):
         run(policy)
     assert not OUT.exists()
 
@@ -549,14 +549,14 @@ def test_an_aborted_episode_fails_and_the_next_one_is_run(
 ) -> None:
     monkeypatch.setattr(goal_env_module.GoalRobotEnv, "_abort_if_lost", _abort_at(robot, 10))
     said: list[str] = []
-    # Whatever the operator would say of it.
+    # Whatever label the operator would give.
     result = run(policy, label=True, ask=lambda _: "y", echo=said.append)
 
     assert [record.ticks for record in result.episodes] == [10, TICKS]
     assert [record.success for record in result.episodes] == [False, True]
     assert (result.aborted, result.episodes[0].operator_success) == (1, None)
     assert "episode 1 of 2: too slow, 10 ticks" in said
-    assert "aborted 1 of 2, which count as failures" in result.summary()
+    assert "aborted 1 of 2, counted as failures" in result.summary()
     assert "too slow" in ticks()[9]["error"]
 
 
@@ -577,10 +577,10 @@ def _abort_at(robot: Robot, tick: int) -> Callable[..., None]:
     return abort
 
 
-def test_a_stop_from_outside_ends_it_for_good(policy: Path, robot: Robot) -> None:
+def test_an_external_stop_ends_the_deployment(policy: Path, robot: Robot) -> None:
     def stop(tick: int) -> None:
         if tick == 4:
-            robot.stop("somebody pressed it", "panic")
+            robot.stop("an operator pressed it", "panic")
 
     robot.before_tick = stop
     with pytest.raises(UserError, match=r"clear-fault panic; 0 of 1 episodes succeeded"):
@@ -590,7 +590,7 @@ def test_a_stop_from_outside_ends_it_for_good(policy: Path, robot: Robot) -> Non
     assert document()["episodes"][0]["ended"].startswith("episode on fake aborted")
 
 
-# Which robot, and the command
+# Selection of the robot, and the command
 
 
 def test_the_robot_is_named_or_in_the_folder_or_on_this_machine(folder: Path) -> None:
@@ -644,7 +644,7 @@ def test_the_command_passes_its_options_on(
     assert capsys.readouterr().out == "dry run: nothing has moved\n"
 
 
-def test_what_is_not_finite_is_null_in_the_log(tmp_path: Path) -> None:
+def test_non_finite_numbers_are_null_in_the_log(tmp_path: Path) -> None:
     with DeploymentLog.create(tmp_path / "made", {"speed": float("inf")}) as log:
         log.tick({"q": np.array([1.0, np.nan]), "mode": "held", "lost": float("-inf")})
     assert ticks(tmp_path / "made") == [{"q": [1.0, None], "mode": "held", "lost": None}]

@@ -1,4 +1,4 @@
-"""What a doctor finds wrong with a robot, out of what was measured."""
+"""Findings of the doctor, from measurements."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def examined(**changes: Any) -> Examination:
     return Examination(**healthy | changes)
 
 
-def test_nothing_is_wrong_with_a_healthy_robot() -> None:
+def test_a_healthy_robot_has_no_findings() -> None:
     assert examined().findings() == []
     facts = examined().facts()
-    assert facts["robot time"] == "1.50 minutes in all: motion 1.00, reset 0.50"
-    assert facts["used by"] == "nobody"
+    assert facts["robot time"] == "1.50 minutes in total: motion 1.00, reset 0.50"
+    assert facts["used by"] == "no client"
 
 
-def test_a_host_that_says_less_is_examined_all_the_same() -> None:
+def test_a_host_with_a_minimal_status_is_examined() -> None:
     least = {key: STATUS[key] for key in ("robot", "mode", "armed", "fault", "control_period_s")}
     status = HostStatus.model_validate(least)
     assert examined(remote=dataclasses.replace(remote(), status=status)).findings() == []
@@ -84,9 +84,7 @@ def test_a_host_that_says_less_is_examined_all_the_same() -> None:
         ({"version": "0.0.1"}, "version 0.0.1"),
     ],
 )
-def test_each_thing_that_is_wrong_with_host_or_link_is_one_finding(
-    changes: dict[str, Any], finding: str
-) -> None:
+def test_each_problem_of_host_or_link_is_one_finding(changes: dict[str, Any], finding: str) -> None:
     (found,) = examined(remote=remote(**changes)).findings()
     assert finding in found
     assert "; " in found, "it says what to do"
@@ -97,15 +95,16 @@ def test_each_thing_that_is_wrong_with_host_or_link_is_one_finding(
     [
         ({"fault": ("panic", "pressed")}, "clear-fault panic"),
         ({"spec": dataclasses.replace(fake_spec(), enforces_joint_limits=False)}, "joint limits"),
-        ({"now_ns": 300_000_000}, "object0 was seen 0.3 s ago"),
-        ({"state": dataclasses.replace(measured(), objects={})}, "nobody has seen object0"),
+        ({"now_ns": 300_000_000}, "the pose of object0 is 0.3 s old"),
+        (
+            {"state": dataclasses.replace(measured(), objects={})},
+            "no pose of object0 was received",
+        ),
         ({"state": dataclasses.replace(measured(), q=np.array([1.5]))}, "shoulder"),
         ({"state": dataclasses.replace(measured(), ee_pos=np.zeros(3))}, "from home"),
     ],
 )
-def test_each_thing_that_is_wrong_with_a_robot_is_one_finding(
-    changes: dict[str, Any], finding: str
-) -> None:
+def test_each_problem_of_a_robot_is_one_finding(changes: dict[str, Any], finding: str) -> None:
     (found,) = examined(**changes).findings()
     assert finding in found
     assert "; " in found, "it says what to do"
@@ -125,12 +124,12 @@ def listened(seqs: list[int], skipped: int = 0) -> StateStream:
     return listener.result(skipped)
 
 
-def test_states_that_are_missing_are_counted() -> None:
+def test_missing_states_are_counted() -> None:
     assert listened([5, 6, 7, 8]).lost == 0
     assert listened([5, 6, 9, 10]).lost == 2
     assert listened([5, 6, 9, 10], skipped=2).lost == 0, "in a reset none is sent"
-    assert listened([5, 5, 6]).lost == 0, "one that comes twice stands for no other"
-    assert listened([6, 5, 7]).lost == 0, "one that comes late is not lost"
+    assert listened([5, 5, 6]).lost == 0, "a duplicate replaces no other state"
+    assert listened([6, 5, 7]).lost == 0, "a late state is not lost"
     assert listened([]).count == 0
 
 
@@ -142,7 +141,7 @@ def test_rate_and_jitter_of_states() -> None:
     assert listened([1]).rate_hz == 0.0
 
 
-def test_what_is_no_state_is_counted_and_not_taken() -> None:
+def test_a_malformed_message_is_counted_and_dropped() -> None:
     listener = StateListener(fake_spec())
     listener.take(b"nonsense", 0)
     result = listener.result()
@@ -150,7 +149,7 @@ def test_what_is_no_state_is_counted_and_not_taken() -> None:
 
 
 class Client:
-    """Answers status with whatever it was given."""
+    """Answers a status request with a given result."""
 
     class options:  # noqa: N801
         robot = "fake"

@@ -1,4 +1,4 @@
-"""Room between the arm and what it must keep out of, within the inverse kinematics."""
+"""Clearance limit of the inverse kinematics."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def keeping_out_of(*boxes: Box) -> RobotSpec:
 
 
 def below_the_gripper(gap_m: float) -> Box:
-    """A plate whose top is that far below the lowest finger at home."""
+    """A plate whose top is at a distance below the lowest finger at home."""
     spec, _ = at_home()
     kinematics = Kinematics(spec)
     points = kinematics.guarded_points(np.array(spec.home.q))
@@ -61,7 +61,7 @@ def moved_m(spec: RobotSpec, action: Array) -> Array:
     return moved
 
 
-def test_its_rows_are_how_the_depths_change_with_the_joints() -> None:
+def test_its_rows_are_the_jacobian_of_the_depths() -> None:
     spec = keeping_out_of(below_the_gripper(0.02))
     approach, most, _ = inequalities(spec, retreats=True)
     kinematics, region, home = Kinematics(spec), Region(spec.limits), np.array(spec.home.q)
@@ -78,13 +78,13 @@ def test_its_rows_are_how_the_depths_change_with_the_joints() -> None:
     np.testing.assert_allclose(most, APPROACH_GAIN * (-depths(home)[near] - MARGIN_M))
 
 
-def test_inside_the_margin_resting_is_a_solution_unless_it_must_retreat() -> None:
+def test_inside_the_margin_zero_motion_is_a_solution_unless_it_must_retreat() -> None:
     spec = keeping_out_of(below_the_gripper(-0.02))
     assert inequalities(spec, retreats=False)[1].min() == 0.0
     assert -0.004 < inequalities(spec, retreats=True)[1].min() < 0.0
 
 
-def test_far_from_everything_it_limits_nothing() -> None:
+def test_far_from_obstacles_it_limits_nothing() -> None:
     spec, _ = at_home()
     limits = dataclasses.replace(
         spec.limits, keep_out=(), workspace=Box((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0))
@@ -103,7 +103,7 @@ def test_a_motion_into_a_face_becomes_one_along_it(gap_m: float) -> None:
     assert -0.005 < moved[2] < 0.003
 
 
-def test_between_walls_that_both_push_it_moves_along_them_still() -> None:
+def test_between_two_walls_it_still_moves_along_them() -> None:
     spec, _ = at_home()
     y, gap_m = spec.home.ee_pos[1], 0.062  # the gripper's sphere has a radius of 60 mm
     right, left = (

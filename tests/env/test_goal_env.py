@@ -83,7 +83,7 @@ def test_a_step_is_one_control_tick(env: GoalRobotEnv, robot: FakeRobot) -> None
     np.testing.assert_array_equal(info["action_applied"], FORWARD)
 
 
-def test_actions_are_cut_and_keep_their_last_bit(env: GoalRobotEnv) -> None:
+def test_actions_are_clipped_and_otherwise_equal_to_the_bit(env: GoalRobotEnv) -> None:
     env.reset(seed=0)
     action = np.array([0.1, 1.5, -7.0, 0.3], dtype=np.float32)
     info = env.step(action)[4]
@@ -177,9 +177,7 @@ def test_a_failing_robot_is_left_held_and_disarmed(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_an_action_that_is_no_number_moves_nothing(
-    env: GoalRobotEnv, robot: FakeRobot, bad: float
-) -> None:
+def test_a_non_finite_action_moves_nothing(env: GoalRobotEnv, robot: FakeRobot, bad: float) -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidCommand, match="finite"):
         env.step(np.array([0.0, bad, 0.0, 0.0]))
@@ -217,7 +215,7 @@ def test_holding_between_episodes_disarms(env: GoalRobotEnv, robot: FakeRobot) -
         robot.confirm_hands_clear()
 
 
-def test_a_person_is_asked_and_the_same_start_tried_again(robot: FakeRobot) -> None:
+def test_a_person_is_asked_and_the_same_start_is_retried(robot: FakeRobot) -> None:
     asked: list[str] = []
     made = GoalRobotEnv(robot, make_task("push"), ask_human=asked.append)
     plain, _ = made.reset(seed=3)
@@ -249,14 +247,14 @@ def test_a_policy_file_gets_plain_json_with_both_digests(env: GoalRobotEnv) -> N
     assert interface["controller"] == {"kind": "ee_delta", "blocks_gripper": True}
 
 
-def test_what_does_not_fit_together_is_refused_at_once(robot: FakeRobot) -> None:
+def test_incompatible_parts_are_refused_at_once(robot: FakeRobot) -> None:
     with pytest.raises(MissingObject, match="reports: none"):
         make_env("push", scene="reach")
-    with pytest.raises(UserError, match="renders no pictures"):
+    with pytest.raises(UserError, match="renders no images"):
         GoalRobotEnv(robot, make_task("push"), render_mode="rgb_array")
 
 
-def test_blocked_grippers_stay_as_they_are(env: GoalRobotEnv, robot: FakeRobot) -> None:
+def test_blocked_grippers_do_not_move(env: GoalRobotEnv, robot: FakeRobot) -> None:
     env.reset(seed=0)
     env.step(np.array([0.0, 0.0, 0.0, 1.0]))
     assert robot.applied is not None
@@ -341,9 +339,7 @@ def test_a_seed_that_is_refused_leaves_the_robot_held(env: GoalRobotEnv, robot: 
     assert_held(env, robot)
 
 
-def test_a_robot_that_cannot_be_held_needs_a_reset_all_the_same(
-    env: GoalRobotEnv, robot: FakeRobot
-) -> None:
+def test_a_robot_that_cannot_be_held_needs_a_reset(env: GoalRobotEnv, robot: FakeRobot) -> None:
     env.reset(seed=0)
     robot.failing = {"advance", "hold"}
     with pytest.raises(OSError, match="advance failed") as error:
@@ -368,12 +364,12 @@ def test_a_link_that_is_too_slow_is_named(env: GoalRobotEnv, robot: FakeRobot, c
 
     step()
     step()
-    with pytest.raises(LinkTooSlow, match=r"in 3 of these 3 .*iher-robot doctor"):
+    with pytest.raises(LinkTooSlow, match=r"3 of these 3 .*iher-robot doctor"):
         step()
     assert_held(env, robot)
 
 
-def test_a_controller_without_a_solution_is_not_blamed_on_the_link(
+def test_a_controller_without_a_solution_is_not_attributed_to_the_link(
     env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     env.reset(seed=0)
@@ -391,9 +387,7 @@ def test_a_controller_without_a_solution_is_not_blamed_on_the_link(
     assert not isinstance(error.value, LinkTooSlow)
 
 
-def test_ticks_unseen_in_the_step_that_aborts_are_charged(
-    env: GoalRobotEnv, robot: FakeRobot
-) -> None:
+def test_ticks_missed_in_the_aborting_step_are_charged(env: GoalRobotEnv, robot: FakeRobot) -> None:
     class LosesTicks(Recorder):
         def start(self, start: EpisodeStart) -> None:
             super().start(start)
@@ -412,7 +406,7 @@ def test_ticks_unseen_in_the_step_that_aborts_are_charged(
 
 @pytest.mark.parametrize("kind", [LinkLost, LeaseRefused])
 @pytest.mark.parametrize("hook", ["_apply", "_advance", "_read"])
-def test_a_robot_that_is_lost_in_a_step_aborts_the_episode_and_is_connected_anew(
+def test_a_robot_lost_in_a_step_aborts_the_episode_and_is_reconnected(
     env: GoalRobotEnv,
     robot: FakeRobot,
     monkeypatch: pytest.MonkeyPatch,
@@ -432,7 +426,7 @@ def test_a_robot_that_is_lost_in_a_step_aborts_the_episode_and_is_connected_anew
 
 
 @pytest.mark.parametrize("kind", [LinkLost, LeaseRefused])
-def test_a_robot_that_is_lost_in_a_reset_is_disconnected(
+def test_a_robot_lost_in_a_reset_is_disconnected(
     env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
 ) -> None:
     with monkeypatch.context() as patch:
@@ -444,7 +438,7 @@ def test_a_robot_that_is_lost_in_a_reset_is_disconnected(
     assert robot.is_armed
 
 
-def test_a_lost_robot_that_cannot_be_held_either_stays_a_lost_robot(
+def test_a_lost_robot_that_cannot_be_held_raises_the_first_error(
     env: GoalRobotEnv, robot: FakeRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     env.reset(seed=0)

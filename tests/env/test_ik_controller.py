@@ -1,4 +1,4 @@
-"""End-effector actions on a robot with motors in its joints."""
+"""Inverse kinematics controller on a simulated robot with joint motors."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_an_action_is_a_velocity_of_the_gripper(env: GoalRobotEnv, axis: int, si
     assert turn > np.cos(np.radians(5) / 2), "the gripper keeps pointing down"
 
 
-def test_a_still_action_keeps_still(env: GoalRobotEnv) -> None:
+def test_a_zero_action_holds_still(env: GoalRobotEnv) -> None:
     env.reset(seed=0)
     before = env.driver.read()
     for _ in range(50):
@@ -81,7 +81,7 @@ def test_a_still_action_keeps_still(env: GoalRobotEnv) -> None:
     np.testing.assert_allclose(env.driver.read().ee_pos, before.ee_pos, atol=5e-4)
 
 
-def test_it_starts_from_the_reported_setpoint_and_keeps_nothing() -> None:
+def test_it_starts_from_the_reported_setpoint_and_is_stateless() -> None:
     spec = MujocoDriver("reach").spec
     action = np.array([0.5, -0.3, 0.2, 0.0])
     driver = MujocoDriver("reach")
@@ -102,7 +102,7 @@ def test_it_starts_from_the_reported_setpoint_and_keeps_nothing() -> None:
         np.testing.assert_allclose(first.q_target, now.q + (now.dq + first.dq) / 2 * 0.04)
 
 
-def test_no_joint_is_asked_for_more_than_its_speed(env: GoalRobotEnv) -> None:
+def test_no_joint_is_commanded_above_its_speed(env: GoalRobotEnv) -> None:
     env.reset(seed=0)
     state = env.driver.read()
     far = np.array([100.0, -100.0, 100.0, 0.0])  # no env passes this on
@@ -129,7 +129,7 @@ def share_left(env: GoalRobotEnv, out: Array, ticks: int) -> float:
 
 
 @pytest.mark.parametrize("task", ["reach", "push"])
-def test_from_wherever_an_action_takes_the_arm_it_comes_back(task: str) -> None:
+def test_the_arm_returns_from_wherever_an_action_takes_it(task: str) -> None:
     rng = np.random.default_rng(0)
     with make_env(task) as made:
         corners = {way: share_left(made, np.append(way, 0.0), 50) for way in WAYS}
@@ -148,7 +148,7 @@ def test_a_setpoint_outside_a_limit_is_not_followed(env: GoalRobotEnv) -> None:
         env.controller.command(np.zeros(4), dataclasses.replace(state, setpoint=moved))
 
 
-def test_without_a_solution_the_robot_holds_and_the_episode_says_why(
+def test_without_a_solution_the_robot_holds_and_the_abort_names_it(
     env: GoalRobotEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def none(*_: object) -> None:
@@ -167,7 +167,7 @@ def test_without_a_solution_the_robot_holds_and_the_episode_says_why(
     assert not env.driver.is_armed
 
 
-def test_what_was_applied_comes_back_as_an_action(env: GoalRobotEnv) -> None:
+def test_an_applied_command_converts_back_to_its_action(env: GoalRobotEnv) -> None:
     env.reset(seed=3)
     gentle = np.array([0.15, 0.1, 0.1, 0.7], dtype=np.float32)
     np.testing.assert_array_equal(env.step(gentle)[4]["action_applied"], gentle)

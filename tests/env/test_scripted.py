@@ -1,4 +1,4 @@
-"""Both actuations can do the tasks, with policies written by hand."""
+"""Scripted policies solve the tasks in both actuations."""
 
 from __future__ import annotations
 

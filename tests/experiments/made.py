@@ -1,4 +1,4 @@
-"""Experiments whose runs were made without training."""
+"""Experiments whose runs are created without training."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = tuple(f"reach-iher-default-seed{seed}" for seed in range(3))
 
 
 def make_cell(folder: ExperimentFolder, name: str, rates: Sequence[float], *, done: bool) -> None:
-    """The folder of a run as it would be after so many evaluations, a robot minute each."""
+    """Create the folder of a run after a number of evaluations, one per robot minute."""
     run = folder.run(name)
     make_run(run.path, seed=int(name[-1]), budget_minutes=4.0)
     for epoch, rate in enumerate(rates, start=1):
@@ -39,7 +39,7 @@ def make_cells(folder: Path, seeds: Sequence[int] = (0, 1, 2), **grid: Any) -> t
 
 
 def begin(folder: ExperimentFolder, *args: Any, **kwargs: Any) -> tuple[Cell, ...]:
-    """Begin with a manifest as an experiment does, but run nothing."""
+    """Write the metadata as an experiment does, without running cells."""
     cells = make_cells(folder.path.parent, *args, **kwargs)
     manifest = read_manifest(str(folder.path.parent / "m.yaml"))
     with folder.hold():
@@ -48,7 +48,7 @@ def begin(folder: ExperimentFolder, *args: Any, **kwargs: Any) -> tuple[Cell, ..
 
 
 def make_experiment(path: Path) -> ExperimentFolder:
-    """Three seeds: one has finished, one goes on, one has not begun."""
+    """Three seeds: one finished, one interrupted, one not begun."""
     folder = ExperimentFolder(path)
     begin(folder)
     make_cell(folder, NAMES[0], (0.1, 0.95), done=True)
@@ -57,15 +57,15 @@ def make_experiment(path: Path) -> ExperimentFolder:
 
 
 def commit(folder: ExperimentFolder) -> ExperimentFolder:
-    """What the documentation says to keep of an experiment."""
+    """Copy the files that a report needs."""
     report(folder.path)
     small = ExperimentFolder(folder.path.parent / "committed")
     small.path.mkdir()
-    for path in (folder.origin_path, folder.evaluations_path, folder.runs_path):
+    for path in (folder.metadata_path, folder.evaluations_path, folder.runs_path):
         shutil.copy(path, small.path)
     return small
 
 
 def unsealed(path: Path) -> dict[str, Any]:
-    """A sealed file, to be changed and sealed again."""
+    """Content of a sealed file, without its seal."""
     return {key: value for key, value in json.loads(path.read_text()).items() if key != "sha256"}

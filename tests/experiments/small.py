@@ -1,4 +1,4 @@
-"""Experiments of seconds, and their processes."""
+"""Small experiments that take seconds, and their processes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_manifest(path: Path, *grids: Mapping[str, Any], **head: Any) -> str:
 
 
 def start(manifest: str, out: Path, *options: str) -> subprocess.Popen[str]:
-    # Tests that were started in the background of a shell pass on that Ctrl-C is ignored.
+    # Tests started in the background of a shell inherit that Ctrl-C is ignored.
     command = ["env", "--default-signal=INT", sys.executable, "-m", "iher_robot", "experiment"]
     command += [manifest, "--out", str(out)]
     return subprocess.Popen(
@@ -48,10 +48,10 @@ def processes_of(out: Path) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
             try:
-                words = (entry / "cmdline").read_bytes().decode().split("\0")
+                arguments = (entry / "cmdline").read_bytes().decode().split("\0")
             except OSError:
                 continue
-            if any(word.startswith(f"{out / 'cells'}{os.sep}") for word in words):
+            if any(argument.startswith(f"{out / 'cells'}{os.sep}") for argument in arguments):
                 found.append(int(entry.name))
     return found
 
@@ -62,7 +62,7 @@ def epochs(out: Path, cell: str) -> list[int]:
     return [json.loads(line)["epoch"] for line in lines]
 
 
-def processes_told(out: Path, cell: str) -> int:
-    """Processes that have worked on a run."""
+def process_count(out: Path, cell: str) -> int:
+    """Number of processes of a run."""
     provenance = json.loads((out / "cells" / cell / "provenance.json").read_text())
     return 1 + len(provenance.get("resumed", ()))

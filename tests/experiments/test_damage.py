@@ -1,4 +1,4 @@
-"""Tables and files of an experiment that are damaged."""
+"""Damaged tables and files of an experiment."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def lines(*wanted: int) -> Callable[[str], str]:
         ("runs.csv", lambda text: text[:-20], "its last line is cut off"),
         ("runs.csv", lambda text: "", "its last line is cut off"),
         ("runs.csv", lines(0), "it has no rows"),
-        ("runs.csv", lines(0, 1, 2), "rows of cell reach-iher-default-seed0 is 3, allowed: 2, as"),
+        ("runs.csv", lines(0, 1, 2), "rows of cell reach-iher-default-seed0 is 3, allowed: 2, the"),
         ("runs.csv", lines(0, 1, 2, 3, 1), "it has 2 rows of cell reach-iher-default-seed0"),
         ("runs.csv", replaced("seed2", "seed9"), "a row of 'reach-iher-default-seed9', no cell"),
         (
@@ -72,7 +72,7 @@ def lines(*wanted: int) -> Callable[[str], str]:
         ("evaluations.csv", replaced(",2.0,0.95,50,", ",2.0,0.95,,"), "evaluation_episodes of"),
     ],
 )
-def test_a_damaged_table_is_told_in_one_sentence(
+def test_a_damaged_table_is_one_sentence(
     folder: ExperimentFolder, name: str, change: Callable[[str], str], said: str
 ) -> None:
     small = commit(folder)
@@ -88,7 +88,7 @@ def test_a_damaged_table_is_told_in_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_a_table_of_other_bytes(folder: ExperimentFolder) -> None:
+def test_a_table_that_is_not_text(folder: ExperimentFolder) -> None:
     small = commit(folder)
     small.runs_path.write_bytes(b"\xff\xfe\x00\n")
     with pytest.raises(UserError, match="is no table of an experiment, or damaged"):
@@ -96,21 +96,21 @@ def test_a_table_of_other_bytes(folder: ExperimentFolder) -> None:
 
 
 @pytest.mark.parametrize("key", ["title", "description", "manifest", "processes", "cells"])
-def test_an_experiment_file_that_lacks_something(folder: ExperimentFolder, key: str) -> None:
-    origin = unsealed(folder.origin_path)
-    del origin[key]
-    folder.origin_path.write_text(json.dumps(add_checksum(origin)))
+def test_metadata_without_a_key(folder: ExperimentFolder, key: str) -> None:
+    metadata = unsealed(folder.metadata_path)
+    del metadata[key]
+    folder.metadata_path.write_text(json.dumps(add_checksum(metadata)))
     with pytest.raises(UserError, match=rf"experiment\.json is no .*: {key}: Field required"):
         report(folder.path)
 
 
-def test_an_experiment_file_with_a_wrong_cell(folder: ExperimentFolder) -> None:
-    origin = unsealed(folder.origin_path)
-    cells = origin["cells"]
+def test_metadata_with_a_wrong_cell(folder: ExperimentFolder) -> None:
+    metadata = unsealed(folder.metadata_path)
+    cells = metadata["cells"]
     for wrong, said in (
         ([cells[0] | {"seed": "0"}], r"cells\.0\.seed: "),
         ([cells[0], cells[0]], "names the cell reach-iher-default-seed0 twice"),
     ):
-        folder.origin_path.write_text(json.dumps(add_checksum(origin | {"cells": wrong})))
+        folder.metadata_path.write_text(json.dumps(add_checksum(metadata | {"cells": wrong})))
         with pytest.raises(UserError, match=said):
             report(folder.path)

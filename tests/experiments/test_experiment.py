@@ -1,4 +1,4 @@
-"""Experiments with real processes: killed, interrupted, with cells that fail."""
+"""Experiments with real processes: killed, interrupted, with failing cells."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ import pytest
 
 from iher_robot.errors import UserError
 from iher_robot.experiments import experiment as experiment_module
+from iher_robot.experiments.cell_process import hold_cell
 from iher_robot.experiments.experiment import experiment
-from iher_robot.experiments.folder import ExperimentFolder, hold_cell
+from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.storage.files.lock import FileHeld, LockFile
 from iher_robot.storage.run_result import read_result
 from tests.experiments.small import (
     EPOCH_MINUTES,
     TINY_SETTINGS,
     epochs,
+    process_count,
     processes_of,
-    processes_told,
     start,
     write_manifest,
 )
@@ -32,11 +33,11 @@ CELLS = ("reach-her-matched-paper-seed0", "reach-her-matched-paper-seed1")
 
 @pytest.fixture(autouse=True)
 def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports have tests of their own."""
+    """Reports are tested elsewhere."""
     monkeypatch.setattr(experiment_module, "report", lambda folder: "none")
 
 
-def test_an_experiment_that_is_killed_goes_on(tmp_path: Path) -> None:
+def test_a_killed_experiment_continues(tmp_path: Path) -> None:
     out, manifest = tmp_path / "out", write_manifest(tmp_path / "m.yaml", LONG)
     first = start(manifest, out, "--quiet", "--workers", "2")
     try:
@@ -58,7 +59,7 @@ def test_an_experiment_that_is_killed_goes_on(tmp_path: Path) -> None:
         assert "interrupted; continue with" in log, "in order, as after a Ctrl-C"
         assert "--resume" in log
         assert epochs(out, cell) == [1, 2, 3, 4, 5][: len(epochs(out, cell))]
-        assert processes_told(out, cell) == 2
+        assert process_count(out, cell) == 2
         result = read_result(out / "cells" / cell / "result.json")
         assert result is not None
         assert result.robot_minutes == pytest.approx(0.27)
@@ -67,7 +68,7 @@ def test_an_experiment_that_is_killed_goes_on(tmp_path: Path) -> None:
     again = experiment(manifest, out=out, display=False)
 
     assert not again.failed
-    assert [processes_told(out, cell) for cell in CELLS] == [2, 2], "what has finished stays"
+    assert [process_count(out, cell) for cell in CELLS] == [2, 2], "finished cells are kept"
 
 
 def test_a_cell_waits_for_its_earlier_process(tmp_path: Path) -> None:
@@ -84,7 +85,7 @@ def test_a_cell_waits_for_its_earlier_process(tmp_path: Path) -> None:
             hold_cell(path, lambda: True)
 
 
-def test_an_interrupt_ends_the_cells_and_says_how_to_go_on(tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_cells_and_prints_how_to_continue(tmp_path: Path) -> None:
     out = tmp_path / "out"
     manifest = write_manifest(tmp_path / "m.yaml", LONG | {"budgets": [100.0]})
     running = start(manifest, out, "--workers", "1")
@@ -114,7 +115,7 @@ def test_cells_are_run_once_and_fail_alone(
         "reach-her-matched-paper-1e-05min-seed0",
     )
     manifest = write_manifest(tmp_path / "m.yaml", {"budgets": [1e-5, EPOCH_MINUTES]})
-    # What a run leaves that is ended before its settings are written.
+    # Leftovers of a run that ended before its settings were written.
     (out / "cells" / good).mkdir(parents=True)
     (out / "cells" / good / "config.yaml").touch()
 
@@ -134,7 +135,7 @@ def test_cells_are_run_once_and_fail_alone(
     assert "\n    iher-robot: " in printed
     assert "1 of 2 cells finished" in done.summary()
     assert f"see {log}" in done.summary()
-    assert processes_told(out, good) == 1
+    assert process_count(out, good) == 1
 
     changed = {"settings": dict(TINY_SETTINGS) | {"learner.ddpg.gamma": 0.5}}
     other = write_manifest(tmp_path / "n.yaml", changed | {"budgets": [1e-5, EPOCH_MINUTES]})
@@ -146,7 +147,7 @@ def test_cells_are_run_once_and_fail_alone(
         experiment(manifest, out=out)
 
 
-def test_options_that_do_not_go_together(tmp_path: Path) -> None:
+def test_options_that_exclude_each_other(tmp_path: Path) -> None:
     manifest = write_manifest(tmp_path / "m.yaml", {})
 
     options: dict[str, Any]
@@ -154,7 +155,7 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
         ({"workers": 0}, "--workers is 0"),
         ({"executor": "slurm"}, "unknown executor 'slurm', valid: local, ray"),
         ({"executor": "ray", "workers": 2}, "--workers is for --executor local"),
-        ({"only": ["seed0"]}, "'seed0', which is the name of none of the 1 cells"),
+        ({"only": ["seed0"]}, "'seed0', which matches none of the 1 cells"),
         ({"address": "auto"}, "--address and --ship are for --executor ray"),
     ):
         with pytest.raises(UserError, match=said):

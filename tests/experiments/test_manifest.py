@@ -1,4 +1,4 @@
-"""Manifests: which cells they make, and one sentence for what is wrong in them."""
+"""Manifests: their cells, and one sentence for each error."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from iher_robot.config.layers import experiment_names
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.config.yaml import format_yaml
 from iher_robot.errors import UserError
 from iher_robot.experiments.grid import Cell, differences, expand
@@ -53,7 +53,7 @@ def test_a_grid_is_every_combination(tmp_path: Path) -> None:
     assert (last.until_success, last.device) == (None, "cpu")
 
 
-def test_a_variant_counts_before_its_grid(tmp_path: Path) -> None:
+def test_a_variant_overrides_its_grid(tmp_path: Path) -> None:
     variants = {"a": {}, "b": {"learner.ddpg.gamma": 0.9}}
     grid = GRID | {"settings": {"learner.ddpg.gamma": 0.5}, "variants": variants}
 
@@ -78,7 +78,7 @@ def test_a_cell_has_the_settings_of_its_grid(tmp_path: Path) -> None:
     )
     assert cell.config.learner.ddpg.hidden == (8, 8)
     assert cell.name.endswith("seed3")
-    assert cell.config.robot == str(robot), "paths are from the manifest's folder"
+    assert cell.config.robot == str(robot), "paths are relative to the manifest's folder"
 
 
 @pytest.mark.parametrize("name", experiment_names())
@@ -91,7 +91,7 @@ def test_every_shipped_experiment_expands(name: str) -> None:
         assert cell.identity.robot == "mujoco fetch-mocap"
 
 
-def test_the_shipped_experiments_are_what_they_are_called() -> None:
+def test_the_shipped_experiments_are_as_named() -> None:
     names = {"fig-benchmark", "fig-ablation", "fig-ensemble", "default-vs-paper"}
     assert names | {"reach", "push", "smoke", "open-points"} == set(experiment_names())
     ablation = {cell.identity.variant: cell.config.learner for cell in expand_named("fig-ablation")}
@@ -122,16 +122,16 @@ def expand_named(name: str) -> tuple[Cell, ...]:
 @pytest.mark.parametrize(
     ("grid", "said"),
     [
-        ({}, "tasks is missing: Tasks to be learned."),
+        ({}, "tasks is missing: Tasks to learn."),
         ({"tasks": []}, "tasks is []"),
         ({"tasks": "reach"}, "tasks is 'reach', allowed: a list"),
         (GRID | {"seed": [1]}, "unknown key 'seed'"),
-        (GRID | {"seeds": [1, 1]}, "seeds names 1 twice"),
+        (GRID | {"seeds": [1, 1]}, "seeds lists 1 twice"),
         (GRID | {"seeds": [-1]}, "seeds is -1"),
         (GRID | {"seeds": [True]}, "seeds is True"),
         (GRID | {"budgets": [0]}, "budgets is 0"),
         (GRID | {"until_success": 2}, "until_success is 2"),
-        (GRID | {"variants": {"a/b": {}}}, "a variant is called 'a/b'"),
+        (GRID | {"variants": {"a/b": {}}}, "a variant has the name 'a/b'"),
         (GRID | {"variants": {"a": {"learner.ddpg.gama": 1}}}, "did you mean 'learner.ddpg.gamma'"),
         (GRID | {"settings": {"learner.ddpg.gamma": 2}}, "gamma is 2"),
         (
@@ -150,7 +150,7 @@ def expand_named(name: str) -> tuple[Cell, ...]:
         (GRID | {"robot": "nobody"}, "unknown robot 'nobody'"),
     ],
 )
-def test_what_is_wrong_in_a_grid_is_one_sentence(
+def test_an_error_in_a_grid_is_one_sentence(
     tmp_path: Path, grid: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(UserError) as caught:
@@ -161,7 +161,7 @@ def test_what_is_wrong_in_a_grid_is_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_wrong_around_the_grids(tmp_path: Path) -> None:
+def test_errors_outside_the_grids(tmp_path: Path) -> None:
     def said(*grids: dict[str, Any], **head: Any) -> str:
         with pytest.raises(UserError) as caught:
             cells_of(tmp_path, *grids, **head)
@@ -190,7 +190,7 @@ METHOD = {"tasks": ["reach"], "presets": ["paper"]}
         ({"robot": "a/p.yaml"}, {"robot": "b/p.yaml"}, "robot is "),
     ],
 )
-def test_runs_that_differ_in_more_than_the_seed_are_no_seeds_of_one_method(
+def test_seeds_of_a_method_must_have_equal_settings(
     tmp_path: Path, first: dict[str, Any], second: dict[str, Any], key: str
 ) -> None:
     for name in ("a", "b"):
@@ -208,12 +208,12 @@ def test_runs_that_differ_in_more_than_the_seed_are_no_seeds_of_one_method(
 
 
 def test_seeds_of_one_method_may_be_in_several_grids(tmp_path: Path) -> None:
-    more = {"seeds": [1], "settings": {"simulators": 2}}  # by which no number changes
+    more = {"seeds": [1], "settings": {"simulators": 2}}  # which changes no number
     cells = cells_of(tmp_path, METHOD, METHOD | more)
 
     assert len({cell.identity.method for cell in cells}) == 1
-    # The report groups by the same.
-    assert {*findings._TOLD_APART_BY, "task", "seed"} == cells[0].identity.as_row().keys()
+    # The report groups by the same columns.
+    assert {*findings._METHOD_KEY, "task", "seed"} == cells[0].identity.as_row().keys()
 
 
 SEARCH = {"parameters": {"learner.ddpg.gamma": {"low": 0.9, "high": 0.99}}, "trials": 3}
@@ -228,11 +228,11 @@ SEARCH = {"parameters": {"learner.ddpg.gamma": {"low": 0.9, "high": 0.99}}, "tri
         ({"low": 1.0, "high": 1.0}, "allowed: low < high"),
         ({"low": 0.0, "high": 1.0, "log": True}, "allowed with log: 0 < low"),
         ({"low": 0.5, "high": 2.0, "integer": True}, "allowed: whole numbers"),
-        ({"choices": [1], "low": 0.5}, "choices stand alone"),
+        ({"choices": [1], "low": 0.5}, "choices exclude low"),
         ({"choices": [[1]]}, "choices are text, numbers"),
     ],
 )
-def test_what_is_wrong_in_a_search(tmp_path: Path, search: dict[str, Any], said: str) -> None:
+def test_errors_in_a_search(tmp_path: Path, search: dict[str, Any], said: str) -> None:
     if "parameters" not in search:
         parameters = {"learner.ddpg.gamma": search}
         search = SEARCH | {"objective": "success-at-budget", "parameters": parameters}

@@ -1,4 +1,4 @@
-"""The table of cells, and the lines that stand for it where there is no terminal."""
+"""Progress table of cells, and its lines without a terminal."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ import re
 
 from rich.console import Console
 
-from iher_robot.experiments.progress import Board, Line
+from iher_robot.experiments.progress import CellProgress, ProgressTable
 
 
-def board(*lines: Line, height: int = 40) -> tuple[Board, Console]:
+def progress(*lines: CellProgress, height: int = 40) -> tuple[ProgressTable, Console]:
     console = Console(file=io.StringIO(), width=100, height=height, force_terminal=height < 40)
-    made = Board("Push [of a block]", console=console, clock=iter(range(0, 1000, 60)).__next__)
+    made = ProgressTable(
+        "Push [of a block]", console=console, clock=iter(range(0, 1000, 60)).__next__
+    )
     for line in lines:
         made.add(line)
     return made, console
 
 
-def shown(made: Board) -> str:
+def shown(made: ProgressTable) -> str:
     with made.console.capture() as capture:
         made.console.print(made.render())
     return capture.get()
 
 
 def test_each_event_is_a_line() -> None:
-    made, console = board(Line("push-[a]-seed0", 60.0))
+    made, console = progress(CellProgress("push-[a]-seed0", 60.0))
 
     made.change("push-[a]-seed0", "running")
     made.change("push-[a]-seed0", "failed", "exit code 2")
@@ -36,20 +38,20 @@ def test_each_event_is_a_line() -> None:
     )
 
 
-def test_a_quiet_board_says_nothing() -> None:
-    made, console = board(Line("a", 1.0))
+def test_a_disabled_table_prints_nothing() -> None:
+    made, console = progress(CellProgress("a", 1.0))
     made.enabled = False
 
     made.change("a", "running")
-    made.say("something")
+    made.print("something")
 
     assert isinstance(console.file, io.StringIO)
     assert console.file.getvalue() == ""
 
 
-def test_the_table_has_what_runs_first_and_says_what_it_leaves_out() -> None:
-    lines = [Line(f"cell{number}", 4.0) for number in range(9)]
-    made, _ = board(*lines, height=12)
+def test_the_table_shows_running_cells_first_and_counts_hidden_ones() -> None:
+    lines = [CellProgress(f"cell{number}", 4.0) for number in range(9)]
+    made, _ = progress(*lines, height=12)
     lines[8].state, lines[8].row = "running", {"epoch": 3, "robot_minutes": 1.2, "success": 0.5}
     lines[7].state, lines[7].note = "failed", "killed by SIGKILL"
     lines[0].state = "finished"

@@ -14,8 +14,8 @@ from iher_robot.experiments.folder import ExperimentFolder
 from tests.experiments.small import (
     EPOCH_MINUTES,
     epochs,
+    process_count,
     processes_of,
-    processes_told,
     start,
     write_manifest,
 )
@@ -40,7 +40,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         made.shutdown()
 
 
-def test_an_experiment_finishes_on_the_nodes_that_are_left(cluster: Any, tmp_path: Path) -> None:
+def test_an_experiment_finishes_on_the_remaining_nodes(cluster: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
     manifest = write_manifest(tmp_path / "m.yaml", {"budgets": [0.5], "seeds": [0, 1]})
 
@@ -62,12 +62,12 @@ def test_an_experiment_finishes_on_the_nodes_that_are_left(cluster: Any, tmp_pat
     assert "2 of 2 cells finished" in printed
     for cell in CELLS:
         assert epochs(out, cell) == list(range(1, len(epochs(out, cell)) + 1))
-    # In the folder that both nodes see, the cell of the lost one went on where it was.
-    assert sorted(processes_told(out, cell) for cell in CELLS) == [1, 2]
+    # Both nodes see the folder: the cell of the lost node continued from its last epoch.
+    assert sorted(process_count(out, cell) for cell in CELLS) == [1, 2]
     assert processes_of(out) == []
 
 
-def test_cells_on_disks_of_the_nodes_ship_small_files(cluster: Any, tmp_path: Path) -> None:
+def test_cells_on_the_nodes_own_disks_send_small_files(cluster: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
     manifest = write_manifest(tmp_path / "m.yaml", {"budgets": [EPOCH_MINUTES]})
     options: dict[str, Any] = {"executor": "ray", "address": cluster.address, "display": False}
@@ -82,7 +82,7 @@ def test_cells_on_disks_of_the_nodes_ship_small_files(cluster: Any, tmp_path: Pa
     }
     assert folder.log(CELLS[0]).read_text().startswith("== ")
     assert not experiment(manifest, out=out, **options).failed
-    assert processes_told(out, CELLS[0]) == 1, "it has finished"
+    assert process_count(out, CELLS[0]) == 1, "it has finished"
 
 
 def test_no_cluster(tmp_path: Path) -> None:

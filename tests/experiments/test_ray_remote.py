@@ -1,4 +1,4 @@
-"""Cells on a served robot: one at a time, and nobody else's."""
+"""Cells on a served robot: one at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.real_time
 CELLS = ("reach-iher-default-seed0", "reach-iher-default-seed1")
 
 
-def test_cells_share_a_robot_one_after_the_other_and_with_nobody(
+def test_cells_use_a_served_robot_one_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(experiment_module, "report", lambda folder: "none")
@@ -38,7 +38,7 @@ def test_cells_share_a_robot_one_after_the_other_and_with_nobody(
             "settings": settings,
         }
         manifest = write_manifest(tmp_path / "m.yaml", grid)
-        with served.driver("reach"):  # whoever has the lease, the host refuses a cell
+        with served.driver("reach"):  # which holds the lease
             refused = experiment(manifest, out=out, only=[CELLS[0]])
         (cell,) = refused.failed
         assert any("is used by" in line for line in cell.lines), cell.lines
@@ -48,5 +48,5 @@ def test_cells_share_a_robot_one_after_the_other_and_with_nobody(
 
     assert not done.failed, done.summary()
     printed = capsys.readouterr().out.splitlines()
-    told = [line.replace(":", " ").split()[:2] for line in printed if line.startswith("reach-")]
-    assert told == [[cell, state] for cell in CELLS for state in ("running", "finished")]
+    shown = [line.replace(":", " ").split()[:2] for line in printed if line.startswith("reach-")]
+    assert shown == [[cell, state] for cell in CELLS for state in ("running", "finished")]

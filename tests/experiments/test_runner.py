@@ -1,4 +1,4 @@
-"""What is kept of how cells ended, without training."""
+"""Outcomes of cells, without training."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from iher_robot.experiments.cell_process import Outcome
 from iher_robot.experiments.executor import LocalExecutor
 from iher_robot.experiments.experiment import experiment
 from iher_robot.experiments.folder import ExperimentFolder
-from iher_robot.experiments.progress import Board
-from iher_robot.experiments.report.rows import origin_of
-from iher_robot.experiments.runner import Running
+from iher_robot.experiments.progress import ProgressTable
+from iher_robot.experiments.report.rows import provenance_columns
+from iher_robot.experiments.runner import CellRunner
 from iher_robot.storage.provenance import write_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from tests.experiments.made import NAMES, begin, make_cells, make_experiment
@@ -24,17 +24,17 @@ from tests.experiments.made import NAMES, begin, make_cells, make_experiment
 
 @pytest.fixture
 def ending(monkeypatch: pytest.MonkeyPatch) -> dict[str, Outcome]:
-    """How cells end, by name; others finish."""
+    """Outcomes of cells by name; others finish."""
     found: dict[str, Outcome] = {}
     monkeypatch.setattr(
         LocalExecutor,
         "_run",
-        lambda self, order: found.get(order.name, Outcome(order.name, "finished")),
+        lambda self, job: found.get(job.name, Outcome(job.name, "finished")),
     )
     return found
 
 
-def test_why_a_cell_failed_is_kept_until_it_runs_again(
+def test_the_reason_of_a_failure_is_kept_until_the_cell_runs_again(
     tmp_path: Path, ending: dict[str, Outcome]
 ) -> None:
     folder = ExperimentFolder(tmp_path / "out")
@@ -44,11 +44,11 @@ def test_why_a_cell_failed_is_kept_until_it_runs_again(
 
     def run() -> None:
         with LocalExecutor(2) as executor:
-            running = Running(folder, executor, Board("", enabled=False))
-            running.prepare(cells)
-            running.submit(cells)
-            while running.busy:
-                running.wait()
+            runner = CellRunner(folder, executor, ProgressTable("", enabled=False))
+            runner.prepare(cells)
+            runner.submit(cells)
+            while runner.busy:
+                runner.wait()
 
     run()
     assert [folder.failure(name).exists() for name in NAMES] == [False, True, False]
@@ -58,9 +58,9 @@ def test_why_a_cell_failed_is_kept_until_it_runs_again(
     assert not folder.failure(NAMES[1]).exists()
 
 
-def test_a_run_tells_of_all_of_its_processes(tmp_path: Path) -> None:
+def test_the_table_of_runs_has_the_provenance_of_all_processes(tmp_path: Path) -> None:
     run = RunDirectory(tmp_path)
-    assert origin_of(run) == {}
+    assert provenance_columns(run) == {}
     first = {
         "command": [
             "/bin/iher-robot",
@@ -81,7 +81,7 @@ def test_a_run_tells_of_all_of_its_processes(tmp_path: Path) -> None:
     for process in (first, second, first):
         write_provenance(run.provenance_path, dict(process))
 
-    assert origin_of(run) == {
+    assert provenance_columns(run) == {
         "command": "iher-robot train --set 'hidden=[32, 32]' --preset 'my a.yaml'",
         "processes": 3,
         "commit": f"{'1' * 40}, {'2' * 40}",
@@ -98,7 +98,7 @@ def test_a_run_tells_of_all_of_its_processes(tmp_path: Path) -> None:
     }
 
 
-def test_runs_that_are_not_chosen_must_be_those_of_the_manifest(
+def test_runs_that_are_not_selected_are_checked_too(
     tmp_path: Path, ending: dict[str, Outcome]
 ) -> None:
     folder = make_experiment(tmp_path / "out")
@@ -110,7 +110,7 @@ def test_runs_that_are_not_chosen_must_be_those_of_the_manifest(
     assert not ending
 
 
-def test_an_experiment_without_a_report_says_so(
+def test_a_missing_report_is_printed_and_fails(
     tmp_path: Path, ending: dict[str, Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(folder: Path) -> None:
@@ -118,9 +118,9 @@ def test_an_experiment_without_a_report_says_so(
 
     make_cells(tmp_path)
     monkeypatch.setattr(experiment_module, "report", refuse)
-    words = ["experiment", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "out"), "--quiet"]
+    arguments = ["experiment", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "out"), "--quiet"]
 
-    result = CliRunner().invoke(app, words)
+    result = CliRunner().invoke(app, arguments)
 
     assert "3 of 3 cells finished" in result.output
     assert "no report: another process writes tables" in result.output

@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from iher_robot.errors import UserError
-from iher_robot.experiments.cell_process import Order, Outcome
+from iher_robot.experiments.cell_process import CellJob, Outcome
 from iher_robot.experiments.executor import LocalExecutor
 from iher_robot.experiments.folder import ExperimentFolder
 from iher_robot.experiments.grid import Cell, expand
 from iher_robot.experiments.manifest import read_manifest
-from iher_robot.experiments.progress import Board
-from iher_robot.experiments.runner import Running
+from iher_robot.experiments.progress import ProgressTable
+from iher_robot.experiments.runner import CellRunner
 from tests.experiments.small import write_manifest
 from tests.run_folders import make_run
 
@@ -43,24 +43,24 @@ GRID = {"presets": ["default"], "algos": ["iher"], "budgets": [2.0], "settings":
 
 @pytest.fixture(autouse=True)
 def with_any_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The runs that stand for training have settings of their own."""
+    """Skip the check of settings: the runs that replace training have others."""
 
-    def look(folder: ExperimentFolder, cell: Cell) -> str:
+    def state(folder: ExperimentFolder, cell: Cell) -> str:
         return "finished" if folder.run(cell.name).path.exists() else "new"
 
-    monkeypatch.setattr("iher_robot.experiments.runner.prepare", look)
+    monkeypatch.setattr("iher_robot.experiments.runner.prepare_cell", state)
 
 
 class Instant(LocalExecutor):
-    """Stands in for training: what a cell comes to follows from its settings alone."""
+    """Replaces training: the value of a cell is a function of its settings."""
 
     def __init__(self, folder: ExperimentFolder) -> None:
         super().__init__(1)
         self.folder = folder
 
-    def _run(self, order: Order) -> Outcome:
-        gamma = float(yaml.safe_load(order.config)["learner"]["ddpg"]["gamma"])
-        run = self.folder.run(order.name)
+    def _run(self, job: CellJob) -> Outcome:
+        gamma = float(yaml.safe_load(job.config)["learner"]["ddpg"]["gamma"])
+        run = self.folder.run(job.name)
         make_run(run.path, budget_minutes=2.0)
         run.append_metrics({"epoch": 1, "robot_minutes": 0.5, "success": 0.1})
         run.append_metrics(
@@ -68,7 +68,7 @@ class Instant(LocalExecutor):
             if gamma < 0.9
             else {"epoch": 2, "robot_minutes": 2.0, "success": 0.45}
         )
-        return Outcome(order.name, "finished")
+        return Outcome(job.name, "finished")
 
 
 def search(
@@ -81,45 +81,45 @@ def search(
     assert manifest.search is not None
     assert expand(manifest)
     with out.hold(), Instant(out) as executor:
-        running = Running(out, executor, Board("", enabled=False))
-        made = SearchRun(manifest, manifest.search, running)
+        runner = CellRunner(out, executor, ProgressTable("", enabled=False))
+        made = SearchRun(manifest, manifest.search, runner)
         out.begin(manifest, {"command": []}, made.identities)
         try:
             made.run()
         finally:
-            assert {i.name for i in out.identities()} >= set(running.outcomes)
+            assert {i.name for i in out.identities()} >= set(runner.outcomes)
     with out.trials_path.open() as file:
         return list(csv.DictReader(file))
 
 
-def test_a_search_finds_what_is_better(tmp_path: Path) -> None:
+def test_a_search_records_the_value_of_each_trial(tmp_path: Path) -> None:
     trials = search(tmp_path)
 
     assert [trial["state"] for trial in trials] == ["complete"] * 12
     for trial in trials:
         gamma, value = float(trial["learner.ddpg.gamma"]), float(trial["minutes-to-success"])
-        # Not reached counts as a budget and the part of one by which the last rate misses.
+        # Not reached counts as a budget plus the share by which the last rate misses.
         assert value == pytest.approx(1.0 + (gamma - 0.8) ** 2 if gamma < 0.9 else 2.0 * 1.5)
         assert int(trial["learner.ddpg.batch_size"]) in (64, 128)
     assert len({trial["learner.ddpg.gamma"] for trial in trials}) == 12
     assert (tmp_path / "out" / "search.sqlite").exists()
 
 
-def test_a_search_goes_on_as_if_it_had_not_been_interrupted(tmp_path: Path) -> None:
+def test_an_interrupted_search_continues_like_an_uninterrupted_one(tmp_path: Path) -> None:
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
     whole = search(tmp_path / "whole")
 
-    sooner = search(tmp_path / "cut", trials=5)
+    first = search(tmp_path / "cut", trials=5)
     assert search(tmp_path / "cut") == whole
-    assert sooner == whole[:5]
+    assert first == whole[:5]
 
 
 def test_a_search_with_other_ranges_is_refused(tmp_path: Path) -> None:
     search(tmp_path, trials=1)
     other = {"learner.ddpg.gamma": {"low": 0.1, "high": 0.2}}
 
-    with pytest.raises(UserError, match="it has other ranges or choices than the manifest's"):
+    with pytest.raises(UserError, match="its ranges or choices are not those of the manifest"):
         search(tmp_path, parameters=other)
 
 
@@ -132,12 +132,12 @@ def test_a_search_with_other_ranges_is_refused(tmp_path: Path) -> None:
             "its objective is 'minutes-to-success', and 'success-at-budget' in the manifest",
         ),
         ({"success": 0.5}, {}, "its success is 0.9, and 0.5 in the manifest"),
-        ({}, {"seeds": [0, 1]}, "its grid is another one than that in the manifest"),
-        ({}, {"settings": {"evaluation.episodes": 7}}, "its grid is another one"),
+        ({}, {"seeds": [0, 1]}, "its grid is not that of the manifest"),
+        ({}, {"settings": {"evaluation.episodes": 7}}, "its grid is not that of the manifest"),
     ],
 )
 @pytest.mark.parametrize("trials", [1, 2])
-def test_a_search_for_something_else_is_refused(
+def test_another_search_in_the_same_folder_is_refused(
     tmp_path: Path, changed: dict[str, Any], grid: dict[str, Any], said: str, trials: int
 ) -> None:
     before = search(tmp_path, trials=1)
@@ -161,7 +161,7 @@ def test_a_search_for_something_else_is_refused(
         ("budget_minutes", {"low": 1, "high": 9}, "use the grid's key budgets"),
     ],
 )
-def test_what_a_search_may_draw_is_checked_before_there_is_a_study(
+def test_the_search_space_is_checked_before_there_is_a_study(
     tmp_path: Path, key: str, parameter: dict[str, Any], said: str
 ) -> None:
     parameters = {"learner.ddpg.batch_size": {"choices": [64]}, key: parameter}
@@ -173,7 +173,7 @@ def test_what_a_search_may_draw_is_checked_before_there_is_a_study(
     assert not (tmp_path / "out").exists()
 
 
-def test_parameters_may_have_to_fit_each_other(tmp_path: Path) -> None:
+def test_parameters_may_depend_on_each_other(tmp_path: Path) -> None:
     parameters = {  # the preset has fewer critics than the first of these subsets
         "learner.ddpg.critics": {"low": 20, "high": 30, "integer": True},
         "learner.ddpg.target_subset": {"low": 15, "high": 20, "integer": True},
@@ -182,11 +182,11 @@ def test_parameters_may_have_to_fit_each_other(tmp_path: Path) -> None:
     assert len(search(tmp_path, parameters=parameters, trials=1)) == 1
 
 
-def test_a_trial_of_a_cell_that_fails_is_tried_again(
+def test_a_trial_with_a_failed_cell_is_run_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(self: Instant, order: Order) -> Outcome:
-        return Outcome(order.name, "failed", "exit code 1")
+    def fail(self: Instant, job: CellJob) -> Outcome:
+        return Outcome(job.name, "failed", "exit code 1")
 
     with monkeypatch.context() as patched:
         patched.setattr(Instant, "_run", fail)

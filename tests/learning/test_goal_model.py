@@ -1,4 +1,4 @@
-"""Encoding of a transition's source, and when an episode counts as one that moved its goal."""
+"""Encoding of a transition's source, and whether an episode moved its goal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_env_is_real_is_one_for_real_and_zero_for_imagined() -> None:
     ("way_m", "moved"), [(0.0, False), (0.99 * MOVED_M, False), (1.01 * MOVED_M, True), (-1, True)]
 )
 @pytest.mark.parametrize("returns", [False, True])
-def test_a_goal_has_moved_that_was_ever_farther_than_the_threshold(
+def test_a_goal_moved_if_it_was_ever_farther_than_the_threshold(
     way_m: float, moved: bool, returns: bool
 ) -> None:
     observations = np.full((6, 6), 0.3, dtype=np.float32)

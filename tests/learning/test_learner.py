@@ -252,15 +252,6 @@ def test_episodes_that_did_not_move_the_achieved_goal_are_drawn_less() -> None:
         assert deviation(counts, expected) < 4
 
 
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [("symmetry", "declares no symmetries"), ("contact", "declares no object")],
-)
-def test_what_the_task_does_not_declare_cannot_be_enabled(section: str, message: str) -> None:
-    with pytest.raises(ValueError, match=rf"learner\.{section}\.enabled is true.*{message}"):
-        new(quick(**{section: {"enabled": True}}))
-
-
 def test_with_symmetry_everything_is_learned_from_images() -> None:
     config = quick(symmetry={"enabled": True}, contact={"enabled": True})
     goals = PointMassGoals()

@@ -55,7 +55,7 @@ def epoch_of(learner: Learner, episodes: list[Episode]) -> None:
 
 @pytest.fixture(autouse=True)
 def only_new_objects() -> Iterator[None]:
-    """Let `gc` look at what a test makes, and not at each object of every module loaded before."""
+    """Limit `gc` to the objects of a test, without those of every imported module."""
     gc.collect()
     gc.freeze()
     yield

@@ -12,8 +12,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from iher_robot.learning.learner import Learner
+from iher_robot.learning.networks.cuda_graphs import Tensors, Work
 from iher_robot.learning.transitions import BLOCK
-from tests.learning.fakes import FarAwaySymmetry
+from tests.learning.fakes import FarAwaySymmetry, same
 from tests.learning.point_mass import SHAPES, PointMassGoals
 from tests.learning.small_learner import new, quick, real
 
@@ -91,6 +92,30 @@ def test_a_block_of_updates_equals_single_updates(name: str) -> None:
     for key in report:
         values = torch.cat([one[key] for one in wanted if key in one])
         torch.testing.assert_close(report[key], values, rtol=1e-4, atol=1e-5)
+
+
+class EagerGraphs:
+    """CUDA graphs without a GPU: run the work on copies of its inputs."""
+
+    def __init__(self) -> None:
+        self.phases: set[int] = set()
+
+    def run(self, kind: tuple[int, int], inputs: Tensors, work: Work) -> dict[str, torch.Tensor]:
+        self.phases.add(kind[1])
+        return work(tuple(value.clone() for value in inputs))
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_the_work_that_graphs_capture_is_that_of_an_update(name: str) -> None:
+    plain, captured = learner_of(name), learner_of(name)
+    graphs = EagerGraphs()
+    captured.ddpg._graphs = graphs  # type: ignore[assignment]
+    for learner in (plain, captured):
+        learner.add_real(real(2))
+        learner.learn()
+    assert same(plain.ddpg.state_dict(), captured.ddpg.state_dict())
+    assert same(plain.policy.snapshot(), captured.policy.snapshot())
+    assert graphs.phases == set(range(captured.config.ddpg.actor_period))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")

@@ -18,7 +18,7 @@ from bench.speed.precision import PRECISIONS
 from bench.speed.results import rows
 from bench.speed.rounds import Found, run_rounds
 from bench.speed.settings import Settings
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import make_env
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.transitions import Transitions
@@ -89,7 +89,7 @@ def test_a_ratio_says_how_many_times_better_ours_is(kind: Kind, ours: float, bet
     for ratio, met in ((better - 0.01, True), (better + 0.01, False)):
         comparison = compare(kind, ours, 2.0, Target("", rival="theirs", ratio=ratio))
         (found,) = run_rounds([comparison], settings(rounds=2), lambda _: None)
-        mine, theirs = rows(found, judged=True)
+        mine, theirs = rows(found, with_targets=True)
         assert theirs["ours_is"] == pytest.approx(better)
         assert mine["target_met"] is met
 
@@ -106,7 +106,7 @@ def test_targets_of_time_and_of_products_are_judged_by_the_median() -> None:
         found = Found(comparison)
         found.figures = [[2.0, 9.0, 1.0], []]
         found.products = [1e9] * 3
-        mine, absent = rows(found, judged=True)
+        mine, absent = rows(found, with_targets=True)
         assert mine["target_met"] is met
         assert mine["times_products"] == pytest.approx(2.0)
         assert absent["median"] is None

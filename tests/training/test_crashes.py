@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.storage.accounts import read_accounts
 from iher_robot.storage.episode_reader import EpisodeReader
 from iher_robot.storage.episode_store import CUT_OFF, EpisodeStore

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from drivers import DriverError, LeaseRefused, LinkLost, RobotSpec, SimulatedClock
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env import goal_env as goal_env_module
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError

@@ -1,4 +1,4 @@
-"""What must hold in the tables of an experiment, so that damaged ones are not taken for results."""
+"""Validation of an experiment's tables, so that damaged ones are not reported as results."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from iher_robot.experiments.grid import Identity
 Row = Mapping[str, Any]
 
 STATES = ("finished", "running", "interrupted", "failed", "damaged", NOT_BEGUN)
-"""How far a run is."""
+"""Values of the column ``state``."""
 
-_NEEDED_OF_A_RUN = ("epochs", "evaluations", "robot_minutes", "wall_seconds")
-_NEEDED_OF_AN_EVALUATION = (
+_REQUIRED_OF_A_RUN = ("epochs", "evaluations", "robot_minutes", "wall_seconds")
+_REQUIRED_OF_AN_EVALUATION = (
     *("budget_minutes", "epoch", "robot_minutes", "success", "evaluation_episodes"),
 )
 
 
 def no_table(path: Path, what: str) -> UserError:
-    """The sentence for a damaged table."""
+    """Build the error for a damaged table."""
     return UserError(
         f"{path} is no table of an experiment, or damaged: {what}; restore both tables from a "
-        "copy, or remove both and make the report again where the runs are"
+        "copy, or remove both and run iher-robot report where the runs are"
     )
 
 
 def check_runs(rows: Sequence[Row], identities: Iterable[Identity], path: Path) -> None:
-    """Check the table of runs; cells may be missing, if they are newer than the table.
+    """Check the table of runs; cells that are newer than the table may be missing.
 
     Args:
-        rows: Its rows, with None for what is not known.
+        rows: Its rows, with None for missing values.
         identities: The cells of the experiment.
         path: Its file, for messages.
 
     Raises:
-        UserError: Something does not hold.
+        UserError: A check fails.
     """
     if not rows:
         raise no_table(path, "it has no rows")
@@ -49,14 +49,14 @@ def check_runs(rows: Sequence[Row], identities: Iterable[Identity], path: Path) 
     if count > 1:
         raise no_table(path, f"it has {count} rows of cell {name}, allowed: one")
     for row in rows:
-        _check(row, "rows", row["rows"] == len(rows), f"{len(rows)}, as many as there are", path)
+        _check(row, "rows", row["rows"] == len(rows), f"{len(rows)}, the number of rows", path)
         _check(row, "state", row["state"] in STATES, "one of " + ", ".join(STATES), path)
         if row["state"] != NOT_BEGUN:
             _check_begun(row, path)
 
 
 def _check_begun(row: Row, path: Path) -> None:
-    for name in _NEEDED_OF_A_RUN:
+    for name in _REQUIRED_OF_A_RUN:
         _check(row, name, _is_count(row[name]), "0 or more", path)
     evaluated = row["evaluations"] > 0
     rate = row["success"]
@@ -74,16 +74,16 @@ def check_evaluations(rows: Sequence[Row], runs: Sequence[Row], path: Path) -> N
     """Check the table of evaluations.
 
     Args:
-        rows: Its rows, with None for what is not known.
+        rows: Its rows, with None for missing values.
         runs: Rows of the table of runs, checked.
         path: Its file, for messages.
 
     Raises:
-        UserError: Something does not hold.
+        UserError: A check fails.
     """
     _check_cells(rows, [_identity(run) for run in runs], path)
     for row in rows:
-        for name in _NEEDED_OF_AN_EVALUATION:
+        for name in _REQUIRED_OF_AN_EVALUATION:
             _check(row, name, row[name] is not None, "a number", path)
         _check(row, "success", _is_rate(row["success"]), "0 to 1", path)
         _check(row, "robot_minutes", _is_positive(row["robot_minutes"]), "more than 0", path)
@@ -93,11 +93,12 @@ def check_evaluations(rows: Sequence[Row], runs: Sequence[Row], path: Path) -> N
         raise no_table(path, "it has two rows of cell {} and epoch {}".format(*twice[0]))
     counts = Counter(row["cell"] for row in rows)
     for run in runs:
-        told, found = run["evaluations"] or 0, counts[run["cell"]]
-        if told != found:
+        expected, found = run["evaluations"] or 0, counts[run["cell"]]
+        if expected != found:
             raise no_table(
                 path,
-                f"it has {found} rows of cell {run['cell']}, where the table of runs has {told}",
+                f"it has {found} rows of cell {run['cell']}, where the table of runs has "
+                f"{expected}",
             )
 
 
@@ -118,8 +119,8 @@ def _identity(run: Row) -> Identity:
 def _check(row: Row, name: str, holds: bool, allowed: str, path: Path) -> None:
     if not holds:
         value = row[name]
-        told = "missing" if value is None else repr(value)
-        raise no_table(path, f"{name} of cell {row['cell']} is {told}, allowed: {allowed}")
+        found = "missing" if value is None else repr(value)
+        raise no_table(path, f"{name} of cell {row['cell']} is {found}, allowed: {allowed}")
 
 
 def _is_rate(value: float | None) -> bool:

@@ -1,4 +1,4 @@
-"""Columns of the tables of an experiment, with pandas' types."""
+"""Columns of an experiment's tables, with their pandas types."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ VERSIONS = {
     name.replace("-", "_"): name
     for name in ("python", "iher-robot", "torch", "mujoco", "gymnasium-robotics", "numpy")
 }
-"""Columns of the table of runs with a version, and what it is the version of."""
+"""Columns of the table of runs with a version, and the package of each."""
 RUN_COLUMNS = _IDENTITY | {
     "budget_minutes": "Float64",
     "until_success": "Float64",
@@ -60,5 +60,5 @@ RUN_COLUMNS = _IDENTITY | {
     **dict.fromkeys(VERSIONS, "string"),
     "rows": "Int64",
 }
-"""Columns of the table of runs. ``rows`` and ``evaluations`` say how many rows the two tables have
-in all and of the run, so that a table that was cut off shows."""
+"""Columns of the table of runs. ``rows`` is the number of its rows and ``evaluations`` that of the
+run's evaluations, so that a truncated table is detected."""

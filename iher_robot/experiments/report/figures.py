@@ -21,20 +21,20 @@ _MARKERS = "osD^vPX*"
 _DASHES = ("-", "--", ":", "-.")
 _DOTS_PER_INCH = 150
 _MOST_MARKERS = 30
-_MOST_WITH_SEEDS = 4  # more methods' seeds would be a thicket
+_MOST_WITH_SEEDS = 4  # the seeds of more methods would be unreadable
 _LEAST_SPAN = 8.0
 
 
 def draw_success(methods: Sequence[Method], path: Path, title: str) -> None:
-    """Write a picture of success against robot minutes: interquartile mean, interval, each seed.
+    """Write the plot of success against robot minutes: interquartile mean, interval, each seed.
 
     Args:
-        methods: Of one task.
+        methods: Methods of one task.
         path: The PNG.
-        title: What was learned.
+        title: Title of the figure.
 
     Raises:
-        UserError: It cannot be written.
+        UserError: The file cannot be written.
     """
     figure = Figure(figsize=(7.6, 4.4), dpi=_DOTS_PER_INCH, layout="constrained")
     axes = figure.add_subplot()
@@ -45,7 +45,7 @@ def draw_success(methods: Sequence[Method], path: Path, title: str) -> None:
     axes.set_ylim(-0.02, 1.02)
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
     axes.set_ylabel("success rate", color=INK)
-    _dress(axes)
+    _style(axes)
     axes.set_title(title, loc="left", fontsize=12, fontweight="bold", color=INK, parse_math=False)
     handles, labels = axes.get_legend_handles_labels()
     if handles:
@@ -56,15 +56,15 @@ def draw_success(methods: Sequence[Method], path: Path, title: str) -> None:
 
 
 def draw_minutes(methods: Sequence[Method], path: Path, title: str) -> None:
-    """Write a picture of robot minutes to each success rate: each seed and the median.
+    """Write the plot of robot minutes to each success rate: each seed and the median.
 
     Args:
-        methods: Of one task.
+        methods: Methods of one task.
         path: The PNG.
-        title: What was learned.
+        title: Title of the figure.
 
     Raises:
-        UserError: It cannot be written.
+        UserError: The file cannot be written.
     """
     shown = [method for method in methods if method.runs]
     figure = Figure(
@@ -72,12 +72,12 @@ def draw_minutes(methods: Sequence[Method], path: Path, title: str) -> None:
     )
     panels = figure.subplots(1, len(RATES), sharey=True, sharex=True)
     for axes, rate in zip(panels, RATES, strict=True):
-        for place, method in enumerate(shown):
-            _draw_dots(axes, place, method, rate, COLORS[methods.index(method) % len(COLORS)])
-    for axes, rate in zip(panels, RATES, strict=True):  # they share an axis, so once all is drawn
+        for position, method in enumerate(shown):
+            _draw_dots(axes, position, method, rate, COLORS[methods.index(method) % len(COLORS)])
+    for axes, rate in zip(panels, RATES, strict=True):  # after drawing: the panels share an axis
         axes.set_yticks(range(len(shown)), [method.label for method in shown], parse_math=False)
         axes.set_ylim(len(shown) - 0.5, -0.5)
-        _dress(axes)
+        _style(axes)
         axes.set_title(f"to {rate:.0%} success", loc="left", fontsize=10, color=INK)
     figure.suptitle(
         title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=INK, parse_math=False
@@ -93,7 +93,7 @@ def draw_minutes(methods: Sequence[Method], path: Path, title: str) -> None:
             marker=">",
             color=FAINT,
             markerfacecolor="none",
-            label="not reached in so many",
+            label="not reached so far",
         ),
     ]
     figure.legend(handles=legend, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
@@ -131,16 +131,18 @@ def _draw_curve(axes: Axes, number: int, method: Method, *, with_seeds: bool) ->
     )
 
 
-def _draw_dots(axes: Axes, place: int, method: Method, rate: float, color: str) -> None:
+def _draw_dots(axes: Axes, position: int, method: Method, rate: float, color: str) -> None:
     found = method.minutes_to(rate)
-    # Seeds that reached it at the same evaluation would hide each other.
-    rises = np.linspace(-0.16, 0.16, len(found.seeds)) if len(found.seeds) > 1 else [0.0]
-    for seed, rise in zip(found.seeds, rises, strict=True):
+    # Offsets: seeds that reached the rate at the same evaluation would hide each other.
+    offsets = np.linspace(-0.16, 0.16, len(found.seeds)) if len(found.seeds) > 1 else [0.0]
+    for seed, offset in zip(found.seeds, offsets, strict=True):
         if math.isfinite(seed.by):
-            axes.plot(seed.by, place + rise, "o", color=color, markersize=5, alpha=0.8, zorder=3)
+            axes.plot(
+                seed.by, position + offset, "o", color=color, markersize=5, alpha=0.8, zorder=3
+            )
         else:
             axes.plot(
-                *(seed.after, place + rise),
+                *(seed.after, position + offset),
                 ">",
                 color=color,
                 markersize=6,
@@ -148,14 +150,14 @@ def _draw_dots(axes: Axes, place: int, method: Method, rate: float, color: str) 
                 zorder=3,
             )
     if found.known:
-        axes.plot(found.latest, place, "|", color=color, markersize=18, mew=2.4, zorder=4)
+        axes.plot(found.latest, position, "|", color=color, markersize=18, mew=2.4, zorder=4)
 
 
-def _dress(axes: Axes) -> None:
+def _style(axes: Axes) -> None:
     axes.set_xscale("log")
     low, high = axes.get_xlim()
-    wider = math.sqrt(max(1.0, _LEAST_SPAN * low / high))  # a narrow axis would have no ticks
-    axes.set_xlim(low / wider, high * wider)
+    factor = math.sqrt(max(1.0, _LEAST_SPAN * low / high))  # a narrow axis would have no ticks
+    axes.set_xlim(low / factor, high * factor)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda minutes, _: f"{minutes:g}"))

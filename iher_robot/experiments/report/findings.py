@@ -1,4 +1,4 @@
-"""What an experiment found, method by method and task by task, from its tables."""
+"""Findings of an experiment: methods by task, ratios to the baseline, overall rates."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from iher_robot.experiments.report.statistics import (
 
 RATES = (0.5, 0.9)
 _BASELINE = "her"
-_TOLD_APART_BY = ("algo", "preset", "variant", "budget", "robot")
+_METHOD_KEY = ("algo", "preset", "variant", "budget", "robot")
 
 
 @dataclass(frozen=True)
 class Method:
-    """The runs of a task that differ by their seeds alone.
+    """The runs of a task that differ in their seeds alone.
 
     Attributes:
         task: Name of the task.
-        key: Values of the columns that tell methods apart.
-        label: What tells it from the others of the experiment.
-        runs: Its runs that were evaluated, by seed.
+        key: Values of the columns that distinguish methods.
+        label: Name in the report: the parts that vary in the experiment.
+        runs: Its evaluated runs, by seed.
         missing: Cells without an evaluation.
     """
 
@@ -68,17 +68,17 @@ class Method:
 
     @property
     def finished(self) -> int:
-        """How many runs have finished."""
+        """Number of finished runs."""
         return sum(run.ended for run in self.runs)
 
     @property
-    def whole(self) -> bool:
+    def complete(self) -> bool:
         """Whether all of its runs have finished."""
         return bool(self.runs) and self.finished == len(self.runs) and not self.missing
 
     @property
     def robot_minutes(self) -> tuple[float, float]:
-        """The least and the most robot minutes of the last evaluation."""
+        """Smallest and largest robot minutes of the last evaluation."""
         seen = [run.seen_minutes for run in self.runs]
         return min(seen), max(seen)
 
@@ -94,8 +94,8 @@ class Overall:
 
     Attributes:
         label: The method.
-        seeds: Seeds of each task.
-        robot_minutes: The least and the most robot minutes of the last evaluation.
+        seeds: Number of seeds of each task.
+        robot_minutes: Smallest and largest robot minutes of the last evaluation.
         iqm: Interquartile mean over seeds and tasks.
         mean: Mean over seeds and tasks.
     """
@@ -116,11 +116,11 @@ def find_methods(evaluations: Any, runs: Any) -> dict[str, list[Method]]:
     """
     begun = runs[runs["state"] != NOT_BEGUN]
     by_cell = runs_of(evaluations, begun)
-    rows = [_known(row) for row in runs.to_dict("records")]
-    varied = [key for key in _TOLD_APART_BY if len({row[key] for row in rows}) > 1]
+    rows = [_with_budget(row) for row in runs.to_dict("records")]
+    varied = [key for key in _METHOD_KEY if len({row[key] for row in rows}) > 1]
     groups: dict[str, dict[tuple[Any, ...], list[str]]] = {}
     for row in rows:
-        key = tuple(row[name] for name in _TOLD_APART_BY)
+        key = tuple(row[name] for name in _METHOD_KEY)
         groups.setdefault(row["task"], {}).setdefault(key, []).append(row["cell"])
     found = {}
     for task, methods in groups.items():
@@ -143,7 +143,7 @@ def find_methods(evaluations: Any, runs: Any) -> dict[str, list[Method]]:
 
 
 def baseline_of(method: Method, others: Iterable[Method]) -> Method | None:
-    """The method with algorithm ``her`` that one is compared with; of several the most alike."""
+    """Baseline of a method: of those with algorithm ``her`` the one with the most similar key."""
     candidates = [other for other in others if other.algo == _BASELINE and other.runs]
     return max(
         candidates,
@@ -153,7 +153,7 @@ def baseline_of(method: Method, others: Iterable[Method]) -> Method | None:
 
 
 def ratio_to_baseline(method: Method, others: Iterable[Method], rate: float) -> Ratio | None:
-    """How many times as many robot minutes the baseline needs, see `crossing.ratio`."""
+    """Robot minutes of the baseline over those of a method, see `minutes_to_success.ratio`."""
     baseline = baseline_of(method, others)
     if baseline is None or baseline is method or not method.runs:
         return None
@@ -161,7 +161,7 @@ def ratio_to_baseline(method: Method, others: Iterable[Method], rate: float) -> 
 
 
 def over_tasks(methods: Mapping[str, Sequence[Method]]) -> list[Overall]:
-    """Sum up methods all of whose runs have finished, on every task with as many seeds."""
+    """Aggregate the complete methods that have the same number of seeds in every task."""
     if len(methods) < 2:
         return []
     by_label = {
@@ -171,8 +171,8 @@ def over_tasks(methods: Mapping[str, Sequence[Method]]) -> list[Overall]:
     found = []
     for label, group in by_label.items():
         counts = {len(method.runs) for method in group}
-        whole = all(method.whole for method in group)
-        if len(group) == len(methods) and len(counts) == 1 and whole:
+        complete = all(method.complete for method in group)
+        if len(group) == len(methods) and len(counts) == 1 and complete:
             rates = [method.last_rates for method in group]
             ends = [minutes for method in group for minutes in method.robot_minutes]
             iqm, mean = estimate(*rates, kind="iqm"), estimate(*rates, kind="mean")
@@ -180,16 +180,17 @@ def over_tasks(methods: Mapping[str, Sequence[Method]]) -> list[Overall]:
     return found
 
 
-def _known(row: Mapping[Any, Any]) -> dict[str, Any]:
+def _with_budget(row: Mapping[Any, Any]) -> dict[str, Any]:
     budget = row["budget"]
-    known = isinstance(budget, float) and math.isfinite(budget)
-    return {str(name): value for name, value in row.items()} | {"budget": budget if known else None}
+    if not (isinstance(budget, float) and math.isfinite(budget)):
+        budget = None
+    return {str(name): value for name, value in row.items()} | {"budget": budget}
 
 
 def _label(key: tuple[Any, ...], varied: Sequence[str]) -> str:
     shown = varied or ("algo", "preset")
     parts = []
-    for name, value in zip(_TOLD_APART_BY, key, strict=True):
+    for name, value in zip(_METHOD_KEY, key, strict=True):
         if name in shown and value not in (None, ""):
             parts.append(f"{value:g} min" if name == "budget" else str(value))
     return ", ".join(parts) or ", ".join(str(value) for value in key[:2])

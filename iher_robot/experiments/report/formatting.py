@@ -1,4 +1,4 @@
-"""Numbers of an experiment as they stand in its report."""
+"""Formatting of the numbers and texts of a report."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _MARKUP = re.compile(r"[\\`*\[\]<>|~&]|(?<!\w)_|_(?!\w)")
 
 
 def minutes(value: float) -> str:
-    """Robot minutes with the digits that count."""
+    """Robot minutes with their significant digits."""
     return f"{value:.{_decimals(value)}f}"
 
 
 def span(ends: tuple[float, float]) -> str:
-    """Robot minutes from the least to the most, or one number where they read alike."""
+    """Range of robot minutes, or one number where both ends read the same."""
     return " to ".join(dict.fromkeys(map(minutes, ends)))
 
 
 def minutes_to(found: MinutesTo) -> str:
-    """Median, and each seed's."""
+    """Median, and the value of each seed."""
     each = [
         _not_in(seed.after) if math.isinf(seed.by) else minutes(seed.by) for seed in found.seeds
     ]
@@ -45,7 +45,7 @@ def _decimals(value: float) -> int:
 
 
 def ratio(found: Ratio | None) -> str:
-    """A ratio with what evaluations leave open of it, or a bound; bounds are rounded outwards."""
+    """A ratio with its bounds, or a bound alone; bounds are rounded outwards."""
     if found is None:
         return UNKNOWN
     low = _rounded(found.low, _digits(found.low), math.floor) if found.low > 0.0 else ""
@@ -57,22 +57,22 @@ def ratio(found: Ratio | None) -> str:
 
 
 def _digits(value: float) -> int:
-    """Decimals that leave a ratio two digits."""
+    """Decimals for two significant digits."""
     return max(0, 1 - math.floor(math.log10(value)))
 
 
 def _rounded(value: float, decimals: int, how: Callable[[float], float]) -> str:
-    # What is a hair off for being a float is not rounded away from it.
+    # Rounded first: floating-point error must not move a bound.
     return f"{how(round(value * 10**decimals, 6)) / 10**decimals:.{decimals}f}"
 
 
 def percent(value: float) -> str:
-    """A rate without its sign."""
+    """A rate in percent, without the sign."""
     return f"{100 * value:.0f}"
 
 
 def percents(values: Iterable[float]) -> str:
-    """Rates without their signs."""
+    """Rates in percent, without the sign."""
     return ", ".join(map(percent, values))
 
 
@@ -89,12 +89,12 @@ def duration(seconds: float) -> str:
 
 
 def plain(text: object) -> str:
-    """Text that Markdown takes for nothing but text, also in a table."""
+    """Text with Markdown's special characters escaped, for paragraphs and tables."""
     return _MARKUP.sub(r"\\\g<0>", " ".join(str(text).split()))
 
 
 def as_code(text: str) -> str:
-    """Code in a cell of a Markdown table."""
+    """Text as code in a cell of a Markdown table."""
     text = " ".join(text.split()).replace("|", "\\|")
     longest = max(map(len, re.findall("`+", text)), default=0)
     fence = "`" * (longest + 1)

@@ -1,4 +1,4 @@
-"""Robot minutes to a success rate, as exactly as evaluations tell, and their ratios."""
+"""Robot minutes to a success rate, their medians over seeds, and ratios, with bounds."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from iher_robot.experiments.report.statistics import Run
 
 @dataclass(frozen=True)
 class Crossing:
-    """When a run came to a success rate: between two evaluations.
+    """Interval between two evaluations in which a run reached a success rate.
 
     Attributes:
-        after: Robot minutes of the evaluation before it, zero if there was none; of the last one
+        after: Robot minutes of the evaluation before, zero without one; of the last evaluation
             where the rate was not reached.
-        by: Robot minutes of the first evaluation with the rate; infinite if there is none.
+        by: Robot minutes of the first evaluation at the rate; infinite without one.
     """
 
     after: float
@@ -28,7 +28,7 @@ class Crossing:
 
     @classmethod
     def of(cls, run: Run, rate: float) -> Self:
-        """When a run came to a rate."""
+        """Find the interval in which a run reached a rate."""
         reached = np.flatnonzero(run.success >= rate)
         if not reached.size:
             return cls(run.seen_minutes, math.inf)
@@ -36,58 +36,58 @@ class Crossing:
         return cls(float(run.minutes[first - 1]) if first else 0.0, float(run.minutes[first]))
 
     @property
-    def told(self) -> float:
-        """The first evaluation with the rate; how far was looked where there is none."""
+    def least(self) -> float:
+        """The first evaluation at the rate; without one, the last evaluation as a lower bound."""
         return self.by if math.isfinite(self.by) else self.after
 
 
 @dataclass(frozen=True)
 class MinutesTo:
-    """Robot minutes to a success rate.
+    """Robot minutes to a success rate over seeds.
 
-    A seed that has not reached it may do so at any time after its last evaluation. So the median
-    is known only where that does not matter.
+    A seed that has not reached the rate may reach it at any time after its last evaluation. The
+    median is known only where that does not change it.
 
     Attributes:
-        seeds: Of each seed.
+        seeds: Interval of each seed.
     """
 
     seeds: tuple[Crossing, ...]
 
     @classmethod
     def of(cls, runs: Sequence[Run], rate: float) -> Self:
-        """When runs came to a rate."""
+        """Find the intervals in which runs reached a rate."""
         return cls(tuple(Crossing.of(run, rate) for run in runs))
 
     @property
     def earliest(self) -> float:
-        """The least that the median of the first evaluations with the rate can be."""
-        return statistics.median(seed.told for seed in self.seeds)
+        """Lower bound of the median over the first evaluations at the rate."""
+        return statistics.median(seed.least for seed in self.seeds)
 
     @property
     def latest(self) -> float:
-        """The most that it can be, infinite where half of the seeds have not reached it."""
+        """Upper bound of that median, infinite where half of the seeds miss the rate."""
         return statistics.median(seed.by for seed in self.seeds)
 
     @property
     def after(self) -> float:
-        """What the median is above, whatever passed between two evaluations."""
+        """Lower bound of the median over the true times, which lie between two evaluations."""
         return statistics.median(seed.after for seed in self.seeds)
 
     @property
     def known(self) -> bool:
-        """Whether the median of the first evaluations with the rate is known."""
+        """Whether the median over the first evaluations at the rate is known."""
         return math.isfinite(self.latest) and self.earliest == self.latest
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times as many robot minutes one needs as the other.
+    """Ratio of the robot minutes of two methods.
 
     Attributes:
-        value: Of the first evaluations with the rate, None where one of the two is not known.
-        low: The least that it can be, from the evaluations before those; zero if nothing is known.
-        high: The most that it can be, infinite if nothing is known.
+        value: Ratio of the medians over first evaluations, None where one of them is not known.
+        low: Lower bound, from the evaluations before; zero without one.
+        high: Upper bound, infinite without one.
     """
 
     value: float | None
@@ -96,10 +96,10 @@ class Ratio:
 
 
 def ratio(baseline: MinutesTo, other: MinutesTo) -> Ratio | None:
-    """How many times as many minutes the baseline needs.
+    """Robot minutes of the baseline over those of the other method.
 
     Returns:
-        The ratio of the medians; None where not even a bound tells which of the two is faster.
+        The ratio of the medians; None where not even a bound shows which of the two is faster.
     """
     known = baseline.known and other.known
     low = baseline.after / other.latest

@@ -1,4 +1,4 @@
-"""The report of an experiment: Markdown, and the same as one HTML file."""
+"""Report of an experiment: Markdown, and the same as one HTML file."""
 
 from __future__ import annotations
 
@@ -14,67 +14,52 @@ import markupsafe
 from markdown_it import MarkdownIt
 
 from iher_robot.experiments.folder import ExperimentFolder
-from iher_robot.experiments.report import formatting as words
-from iher_robot.experiments.report import provenance as sources
+from iher_robot.experiments.report import formatting, provenance
 from iher_robot.experiments.report.figures import draw_minutes, draw_success
-from iher_robot.experiments.report.findings import (
-    RATES,
-    Method,
-    baseline_of,
-    find_methods,
-    over_tasks,
-    ratio_to_baseline,
-)
-from iher_robot.experiments.report.statistics import LEAST_TRIMMED, REPETITIONS
+from iher_robot.experiments.report.findings import Method, find_methods, over_tasks
+from iher_robot.experiments.report.sections import overall_row, task_section
+from iher_robot.experiments.report.statistics import REPETITIONS
 from iher_robot.experiments.report.tables import read_tables, trial_rows
 from iher_robot.storage.files.atomic import read_file, write_atomically
 
 
 def write_report(folder: ExperimentFolder, out: Path, made: str) -> tuple[Path, Path]:
-    """Write report and figures, from the tables alone.
+    """Write report and figures from the tables.
 
     Args:
         folder: The experiment.
         out: Folder to write to.
-        made: When, in words.
+        made: Time of writing, as text.
 
     Returns:
         The Markdown and the HTML file.
 
     Raises:
-        UserError: A table is missing or damaged, an extra is missing, or the system refuses.
+        UserError: A table is missing or damaged, an extra is missing, or a file cannot be
+            written.
     """
-    origin = folder.read_origin()
+    metadata = folder.read_metadata()
     evaluations, runs = read_tables(folder)
     methods = find_methods(evaluations, runs)
     figures = _Figures(out, folder.figures_path.name)
     rows = runs.to_dict("records")
     text = _template("report.md.j2").render(
-        title=words.plain(origin["title"]),
-        description=origin["description"],
-        state=sources.state(rows),
+        title=formatting.plain(metadata["title"]),
+        description=metadata["description"],
+        state=provenance.state(rows),
         tasks=[_task(task, group, figures) for task, group in methods.items()],
-        overall=[
-            [
-                words.plain(one.label),
-                one.seeds,
-                words.span(one.robot_minutes),
-                words.estimate(one.iqm),
-                words.estimate(one.mean),
-            ]
-            for one in over_tasks(methods)
-        ],
+        overall=list(map(overall_row, over_tasks(methods))),
         trials=trial_rows(folder.trials_path),
         repetitions=f"{REPETITIONS:,}",
         scipy=importlib.metadata.version("scipy"),
-        facts=sources.facts(origin, rows),
-        commands=sources.commands(origin),
-        runs=list(map(sources.run_row, rows)),
+        facts=provenance.facts(metadata, rows),
+        commands=provenance.commands(metadata),
+        runs=list(map(provenance.run_row, rows)),
         made=made,
     )
     markdown, html = out / "report.md", out / "report.html"
     page = _template("report.html.j2").render(
-        title=origin["title"], body=markupsafe.Markup(_as_html(text, figures))
+        title=metadata["title"], body=markupsafe.Markup(_as_html(text, figures))
     )
     write_atomically(markdown, lambda file: file.write(text.encode()))
     write_atomically(html, lambda file: file.write(page.encode()))
@@ -94,14 +79,14 @@ def _template(name: str) -> jinja2.Template:
 
 
 class _Figures:
-    """Pictures of a report.
+    """Figures of a report.
 
     Args:
         out: Folder of the report.
-        name: Folder within it where they go.
+        name: Subfolder of the figures.
 
     Attributes:
-        paths: Those that were drawn, by what the report calls them.
+        paths: Files of the figures, by their link in the report.
     """
 
     def __init__(self, out: Path, name: str) -> None:
@@ -110,21 +95,21 @@ class _Figures:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def draw(self, methods: Sequence[Method], task: str, title: str) -> dict[str, str]:
-        """Draw those of a task, and return what the report calls them."""
+        """Draw the figures of a task and return their links."""
         found = {}
         for name, draw in (("success", draw_success), ("minutes", draw_minutes)):
             path = self._folder / f"{task}-{name}.png"
             draw(methods, path, title)
-            found[f"{name}_figure"] = called = f"{self._folder.name}/{path.name}"
-            self.paths[called] = path
+            found[f"{name}_figure"] = link = f"{self._folder.name}/{path.name}"
+            self.paths[link] = path
         return found
 
 
 def _as_html(markdown: str, figures: _Figures) -> str:
-    """Render Markdown with the report's pictures within.
+    """Render Markdown as HTML with the report's figures embedded.
 
-    What looks like HTML in it is text, and so is any other picture: it would be a file of whoever
-    makes the report, or a request to somebody else.
+    HTML in the Markdown stays text, and so do other images: they could name a private file of the
+    user, or send a request to a server.
     """
     reader = MarkdownIt("commonmark", {"html": False}).enable("table")
     tokens = reader.parse(markdown)
@@ -144,62 +129,5 @@ def _as_html(markdown: str, figures: _Figures) -> str:
 
 
 def _task(task: str, methods: Sequence[Method], figures: _Figures) -> dict[str, Any]:
-    title = task.replace("_", " ").capitalize()
-    found: dict[str, Any] = {
-        "title": title,
-        "rows": [_method(method, methods) for method in methods if method.runs],
-        "missing": [words.plain(cell) for method in methods for cell in method.missing],
-        "baselines": _baselines(methods),
-    }
-    return found | (figures.draw(methods, task, title) if found["rows"] else {})
-
-
-def _baselines(methods: Sequence[Method]) -> list[str]:
-    """What the baseline of the ratios is."""
-    labels = [
-        words.plain(baseline.label)
-        for method in methods
-        if (baseline := baseline_of(method, methods)) is not None and baseline is not method
-    ]
-    return list(dict.fromkeys(labels))
-
-
-def _method(method: Method, others: Sequence[Method]) -> list[str]:
-    count = len(method.runs)
-    of_all = f"{method.finished} of {count + len(method.missing)} finished"
-    return [
-        words.plain(method.label),
-        str(count) if method.whole else of_all,
-        *(words.minutes_to(method.minutes_to(rate)) for rate in RATES),
-        words.ratio(ratio_to_baseline(method, others, RATES[-1])),
-        words.estimate(method.last("iqm")),
-        words.estimate(method.last("mean")) if count >= LEAST_TRIMMED else "",
-        words.percents(method.last_rates) if count > 1 else "",
-        _final(method),
-        words.span(method.robot_minutes) + _stop(method),
-        _evaluations(method),
-        words.duration(method.wall_seconds),
-    ]
-
-
-def _stop(method: Method) -> str:
-    rates = dict.fromkeys(run.until_success for run in method.runs)
-    told = [words.percent(rate) for rate in rates if rate is not None]
-    return f" (stops at {' or '.join(told)} %)" if told else ""
-
-
-def _evaluations(method: Method) -> str:
-    """How often it was evaluated, and by how many episodes."""
-    spacings = [run.spacing_minutes for run in method.runs]
-    episodes = dict.fromkeys(str(run.episodes) for run in method.runs)
-    return f"{words.span((min(spacings), max(spacings)))} min, {' or '.join(episodes)} episodes"
-
-
-def _final(method: Method) -> str:
-    """Success of the final policies, in the order of the seeds."""
-    finals = [run.final for run in method.runs]
-    if not any(finals):
-        return words.UNKNOWN
-    return ", ".join(
-        words.UNKNOWN if final is None else "{} of {}".format(*final) for final in finals
-    )
+    section = task_section(task, methods)
+    return section | (figures.draw(methods, task, section["title"]) if section["rows"] else {})

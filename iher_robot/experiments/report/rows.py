@@ -1,4 +1,4 @@
-"""Rows of the tables of an experiment, from the folder of a run."""
+"""Rows of an experiment's tables, from the folders of its runs."""
 
 from __future__ import annotations
 
@@ -21,51 +21,10 @@ from iher_robot.storage.provenance import read_provenance
 from iher_robot.storage.run_directory import RunDirectory
 from iher_robot.storage.run_result import RunResult, read_result
 
-
-def origin_of(directory: RunDirectory) -> dict[str, Any]:
-    """Columns of the table of runs; empty if nothing is known.
-
-    A run that went on may have done so at another commit or on another machine: a column has each
-    value once, in the order of the processes.
-
-    Raises:
-        UserError: What is known is damaged.
-    """
-    if not directory.provenance_path.exists():
-        return {}
-    first = read_provenance(directory.provenance_path)
-    processes = [first, *first.get("resumed", ())]
-    machines = [process.get("machine", {}) for process in processes]
-    versions = [process.get("versions", {}) for process in processes]
-    return {
-        "command": shlex.join(["iher-robot", *map(_from_here, first.get("command", ())[1:])]),
-        "processes": len(processes),
-        "commit": _each(processes, "commit"),
-        "dirty": _any(process.get("dirty") for process in processes),
-        **{name: _each(machines, name) for name in ("cpu", "cores", "system")},
-        **{column: _each(versions, name) for column, name in VERSIONS.items()},
-    }
-
-
-def _from_here(word: str) -> str:
-    """A path below the working folder, from there: it lies elsewhere on another machine."""
-    return str(word).removeprefix(f"{Path.cwd()}{os.sep}")
-
-
-def _each(processes: Iterable[Mapping[str, Any]], name: str) -> str | None:
-    values = [process.get(name) for process in processes]
-    return ", ".join(dict.fromkeys(str(value) for value in values if value is not None)) or None
-
-
-def _any(values: Iterable[bool | None]) -> bool | None:
-    known = [value for value in values if value is not None]
-    return any(known) if known else None
-
-
 Row = dict[str, Any]
 
-# Of a run of which no more is known.
-_NOTHING: Mapping[str, Any] = {
+# Numbers of a run without readable files.
+_NO_NUMBERS: Mapping[str, Any] = {
     "epochs": 0,
     "evaluations": 0,
     "robot_minutes": 0.0,
@@ -76,10 +35,10 @@ _NOTHING: Mapping[str, Any] = {
 def rows_of(folder: ExperimentFolder, identity: Identity) -> tuple[list[Row], Row] | None:
     """Rows of a cell.
 
-    A run that is damaged has a row that says so, and no evaluations.
+    A damaged run has the state ``damaged`` and no evaluations.
 
     Returns:
-        Its evaluations and its run; None if nothing of it is there.
+        Its evaluations and its run; None if it has no folder.
     """
     shared: Row = {"cell": identity.name, **identity.as_row()}
     failed = folder.failure(identity.name).exists()
@@ -87,9 +46,9 @@ def rows_of(folder: ExperimentFolder, identity: Identity) -> tuple[list[Row], Ro
         if folder.has_begun(identity.name):
             return _read(folder, identity, shared)
         if failed:
-            return [], shared | dict(_NOTHING) | _state(folder, identity, None)
+            return [], shared | dict(_NO_NUMBERS) | _state(folder, identity, None)
     except UserError as error:
-        return [], shared | dict(_NOTHING) | {"state": "damaged", "reason": str(error)}
+        return [], shared | dict(_NO_NUMBERS) | {"state": "damaged", "reason": str(error)}
     return None
 
 
@@ -107,7 +66,7 @@ def _read(
 
 
 def _state(folder: ExperimentFolder, identity: Identity, result: RunResult | None) -> Row:
-    """What a cell is doing, and why it does nothing."""
+    """State of a cell, and the reason of a failure."""
     if result is not None:
         return {"state": "finished"}
     if is_locked(folder.lock(identity.name)):
@@ -149,4 +108,44 @@ def _run(
     if result is not None and result.final_episodes:
         found["final_successes"] = result.final_successes
         found["final_episodes"] = result.final_episodes
-    return found | origin_of(directory)
+    return found | provenance_columns(directory)
+
+
+def provenance_columns(directory: RunDirectory) -> dict[str, Any]:
+    """Provenance of a run, as columns of the table of runs; empty if there is none.
+
+    A run may have continued at another commit or on another machine: a column has each value
+    once, in the order of the processes.
+
+    Raises:
+        UserError: The provenance file is damaged.
+    """
+    if not directory.provenance_path.exists():
+        return {}
+    first = read_provenance(directory.provenance_path)
+    processes = [first, *first.get("resumed", ())]
+    machines = [process.get("machine", {}) for process in processes]
+    versions = [process.get("versions", {}) for process in processes]
+    return {
+        "command": shlex.join(["iher-robot", *map(_relative_to_cwd, first.get("command", ())[1:])]),
+        "processes": len(processes),
+        "commit": _each(processes, "commit"),
+        "dirty": _any(process.get("dirty") for process in processes),
+        **{name: _each(machines, name) for name in ("cpu", "cores", "system")},
+        **{column: _each(versions, name) for column, name in VERSIONS.items()},
+    }
+
+
+def _relative_to_cwd(argument: str) -> str:
+    """Make a path below the working directory relative: other machines have another one."""
+    return str(argument).removeprefix(f"{Path.cwd()}{os.sep}")
+
+
+def _each(processes: Iterable[Mapping[str, Any]], name: str) -> str | None:
+    values = [process.get(name) for process in processes]
+    return ", ".join(dict.fromkeys(str(value) for value in values if value is not None)) or None
+
+
+def _any(values: Iterable[bool | None]) -> bool | None:
+    known = [value for value in values if value is not None]
+    return any(known) if known else None

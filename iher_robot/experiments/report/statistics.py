@@ -1,4 +1,4 @@
-"""Numbers of an experiment: what runs measured, and curves and rates with intervals."""
+"""Statistics of an experiment: measurements of runs, curves and rates with intervals."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ Scores = NDArray[np.float64]
 REPETITIONS = 2000
 CONFIDENCE = 0.95
 LEAST_TRIMMED = 4
-"""Scores from which on the interquartile mean is another number than the mean."""
+"""Smallest number of scores for which the interquartile mean differs from the mean."""
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class Run:
-    """What was measured of a run.
+    """Measurements of a run.
 
     Attributes:
         seed: Its seed.
         minutes: Robot minutes of its evaluations. ``(evaluations,)``
         success: Their success rates. ``(evaluations,)``
-        episodes: Episodes of an evaluation.
-        ended: Whether it has finished, so that its last rate stands for what follows.
+        episodes: Episodes per evaluation.
+        ended: Whether it has finished, so that its last rate holds afterwards.
         until_success: Rate at which it stops, None where it spends its whole budget.
         wall_seconds: Wall-clock time of its training. s
-        final: Successes and episodes of its final policy, if that was measured.
+        final: Successes and episodes of its final policy, None if not measured.
     """
 
     seed: int
@@ -46,21 +46,21 @@ class Run:
 
     @property
     def seen_minutes(self) -> float:
-        """Robot minutes of the last evaluation; how far a rate that was not reached was sought."""
+        """Robot minutes of the last evaluation, zero without one."""
         return float(self.minutes[-1]) if self.minutes.size else 0.0
 
     @property
     def spacing_minutes(self) -> float:
-        """Robot minutes from one evaluation to the next, as a rule."""
+        """Median of the robot minutes between evaluations."""
         return float(np.median(np.diff(self.minutes, prepend=0.0)))
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number over seeds with its interval.
+    """Estimate over seeds with its interval.
 
     Attributes:
-        value: The number.
+        value: The estimate.
         low: Lower end of the 95 % bootstrap interval, NaN with one seed.
         high: Its upper end.
     """
@@ -88,10 +88,10 @@ class Curve:
 
 
 def success_curve(runs: Sequence[Run]) -> Curve:
-    """Success over robot minutes, at every evaluation that all runs have come to.
+    """Success over robot minutes, at every evaluation that all runs have reached.
 
-    Between two evaluations the earlier one counts. A run that has finished keeps its last rate; one
-    that goes on ends the curve. Whole runs are drawn for the intervals.
+    Between two evaluations the earlier one counts. A finished run keeps its last rate; an
+    unfinished one ends the curve. The bootstrap resamples whole runs.
     """
     runs = [run for run in runs if run.minutes.size]
     if not runs:
@@ -101,15 +101,15 @@ def success_curve(runs: Sequence[Run]) -> Curve:
     last = min((run.minutes[-1] for run in runs if not run.ended), default=math.inf)
     every = np.unique(np.concatenate([run.minutes for run in runs]))
     minutes = every[(every >= first) & (every <= last)]
-    scores = np.stack([_held(run, minutes) for run in runs])  # (seeds, points)
+    scores = np.stack([_rates_at(run, minutes) for run in runs])  # (seeds, points)
     return Curve(minutes, *_bootstrap([scores], "iqm"))
 
 
 def estimate(*samples: Sequence[float], kind: str) -> Estimate:
-    """A number over seeds, and over tasks where there are several.
+    """Estimate a score over seeds, and over tasks where there are several.
 
     Args:
-        samples: Of each task, one score for each seed; seeds are drawn within each task.
+        samples: For each task, the score of each seed; seeds are resampled within each task.
         kind: ``"iqm"`` or ``"mean"``.
     """
     scores = [np.array(sample, dtype=np.float64) for sample in samples]
@@ -117,7 +117,7 @@ def estimate(*samples: Sequence[float], kind: str) -> Estimate:
     return Estimate(value, low, high)
 
 
-def _held(run: Run, minutes: Scores) -> Scores:
+def _rates_at(run: Run, minutes: Scores) -> Scores:
     return run.success[np.searchsorted(run.minutes, minutes, side="right") - 1]
 
 
@@ -134,10 +134,10 @@ _STATISTICS: Mapping[str, Callable[..., Scores]] = {"iqm": _iqm, "mean": _mean}
 
 
 def _bootstrap(samples: Sequence[Scores], kind: str) -> tuple[Scores, Scores, Scores]:
-    """Estimate, and the ends of its percentile bootstrap interval, NaN with one seed.
+    """Estimate with the ends of its percentile bootstrap interval, NaN with one seed.
 
     Args:
-        samples: Of each task, from which seeds are drawn. ``(seeds, ...)``
+        samples: Scores of each task; seeds are resampled. ``(seeds, ...)``
         kind: ``"iqm"`` or ``"mean"``.
     """
     statistic = _STATISTICS[kind]
@@ -159,7 +159,7 @@ def _bootstrap(samples: Sequence[Scores], kind: str) -> tuple[Scores, Scores, Sc
 
 
 def runs_of(evaluations: Any, runs: Any) -> Mapping[str, Run]:
-    """Put the rows of the tables together, by cell.
+    """Combine the rows of both tables, by cell.
 
     Args:
         evaluations: Table of evaluations.

@@ -1,4 +1,4 @@
-"""Tidy tables of an experiment: a row for each evaluation, and a row for each run."""
+"""Tidy tables of an experiment: evaluations, runs, and the trials of a search."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from iher_robot.errors import UserError
-from iher_robot.experiments.folder import NOT_BEGUN, ExperimentFolder, states_told
-from iher_robot.experiments.report import formatting as words
+from iher_robot.experiments.folder import NOT_BEGUN, ExperimentFolder, recorded_states
+from iher_robot.experiments.report import formatting
 from iher_robot.experiments.report.checks import check_evaluations, check_runs, no_table
 from iher_robot.experiments.report.columns import EVALUATION_COLUMNS, RUN_COLUMNS
 from iher_robot.experiments.report.rows import Row, rows_of
 from iher_robot.storage.files.atomic import read_file, write_atomically
 
 NEEDED = "pip install 'iher-robot[report]'"
+
+# Columns of the table of trials before the value.
+_TRIAL_COLUMNS = ("trial", "state")
+_VALUE = len(_TRIAL_COLUMNS)
 
 
 def require_pandas() -> Any:
@@ -34,25 +38,24 @@ def require_pandas() -> Any:
 
 
 def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
-    """Gather what the runs of an experiment measured, as CSV and Parquet.
+    """Write the tables of evaluations and runs as CSV and Parquet.
 
-    Rows of runs whose folder is gone, as in a folder of committed results, are taken from the
-    tables that are there.
+    Rows of runs without a folder, as among committed results, are taken from the existing tables.
 
     Args:
         folder: The experiment.
-        target: Where to write to; it may be the same.
+        target: Folder to write to; it may be the same.
 
     Raises:
-        UserError: The tables that are there are damaged, there are no cells yet, or the extra
+        UserError: The existing tables are damaged, there are no cells yet, or the extra
             ``report`` is missing.
     """
     identities = folder.identities()
     if not identities:
         raise UserError(f"the experiment in {folder.path} has no runs yet")
     found = {identity.name: rows_of(folder, identity) for identity in identities}
-    told = states_told(folder.runs_path)
-    gone = [name for name, rows in found.items() if rows is None and told.get(name) != NOT_BEGUN]
+    states = recorded_states(folder.runs_path)
+    gone = [name for name, rows in found.items() if rows is None and states.get(name) != NOT_BEGUN]
     earlier = _read_earlier(folder) if gone else {}
     evaluations: list[Row] = []
     runs: list[Row] = []
@@ -69,27 +72,54 @@ def write_tables(folder: ExperimentFolder, target: ExperimentFolder) -> None:
 
 
 def read_tables(folder: ExperimentFolder) -> tuple[Any, Any]:
-    """Read the tables back, from their CSV files.
+    """Read both tables from their CSV files.
 
     Args:
         folder: The experiment.
 
     Returns:
-        That of evaluations and that of runs, pandas DataFrames with the columns of `columns`.
+        Evaluations and runs, pandas DataFrames with the columns of `columns`.
 
     Raises:
-        UserError: One is missing or damaged, or they are not of all cells of the experiment.
+        UserError: A table is missing or damaged, or lacks a cell of the experiment.
     """
     evaluations, runs = _read(folder)
-    there = set(runs["cell"])
+    present = set(runs["cell"])
     for identity in folder.identities():
-        if identity.name not in there:
+        if identity.name not in present:
             raise no_table(folder.runs_path, f"it has no row of cell {identity.name}")
     return evaluations, runs
 
 
+def trial_rows(path: Path) -> list[list[str]]:
+    """Rows of the table of trials: the header, then the best first; empty without a search.
+
+    Args:
+        path: The table.
+
+    Raises:
+        UserError: It is damaged.
+    """
+    if not path.exists():
+        return []
+    lines = read_file(path, "table of trials").decode(errors="replace").splitlines()
+    table: list[list[str]] = [*csv.reader(lines)] or [[]]
+    head, *rows = table
+    widths = {len(row) for row in table}
+    if head[:_VALUE] != [*_TRIAL_COLUMNS] or len(widths) > 1 or len(head) <= _VALUE:
+        raise UserError(f"{path} is no table of trials; run the experiment again to rewrite it")
+    sign = -1.0 if head[_VALUE] == "success-at-budget" else 1.0
+    try:
+        rows.sort(key=lambda row: sign * float(row[_VALUE]) if row[_VALUE] else math.inf)
+    except ValueError as error:
+        raise UserError(
+            f"{path} has a value that is no number: {error}; run the experiment again to rewrite it"
+        ) from error
+    return [[formatting.plain(_short(text)) for text in row] for row in (head, *rows)]
+
+
 def _read_earlier(folder: ExperimentFolder) -> dict[str, tuple[list[Row], Row]]:
-    """Rows of the tables that are there, by cell."""
+    """Rows of the existing tables, by cell."""
     if not folder.runs_path.exists() and not folder.evaluations_path.exists():
         return {}
     evaluations, runs = map(_rows, _read(folder))
@@ -100,7 +130,7 @@ def _read_earlier(folder: ExperimentFolder) -> dict[str, tuple[list[Row], Row]]:
 
 
 def _read(folder: ExperimentFolder) -> tuple[Any, Any]:
-    """Read and check both tables; they may be older than some of the cells."""
+    """Read and check both tables; cells that are newer than the tables may be missing."""
     runs = _read_frame(folder.runs_path, RUN_COLUMNS)
     check_runs(_rows(runs), folder.identities(), folder.runs_path)
     evaluations = _read_frame(folder.evaluations_path, EVALUATION_COLUMNS)
@@ -117,7 +147,7 @@ def _read_frame(path: Path, columns: Mapping[str, str]) -> Any:
         frame = pd.read_csv(
             io.BytesIO(text),
             dtype=columns,
-            keep_default_na=False,  # a variant may be called None
+            keep_default_na=False,  # a variant may have the name None
             na_values=[""],
         )
     except ValueError as error:
@@ -130,7 +160,7 @@ def _read_frame(path: Path, columns: Mapping[str, str]) -> Any:
 
 
 def _rows(frame: Any) -> list[Row]:
-    """Rows with None for what is not known."""
+    """Rows, with None for missing values."""
     return list(frame.astype(object).where(frame.notna(), None).to_dict("records"))
 
 
@@ -143,34 +173,6 @@ def _write(path: Path, rows: Sequence[Row], columns: Mapping[str, str]) -> None:
     frame.to_parquet(content, index=False)
     data = content.getvalue()
     write_atomically(path.with_suffix(".parquet"), lambda file: file.write(data))
-
-
-_HEAD = ("trial", "state")
-_VALUE = len(_HEAD)
-
-
-def trial_rows(path: Path) -> list[list[str]]:
-    """Rows of the table, its head first and then the best; nothing if there was no search.
-
-    Raises:
-        UserError: It is damaged.
-    """
-    if not path.exists():
-        return []
-    lines = read_file(path, "table of trials").decode(errors="replace").splitlines()
-    table: list[list[str]] = [*csv.reader(lines)] or [[]]
-    head, *rows = table
-    widths = {len(row) for row in table}
-    if head[:_VALUE] != [*_HEAD] or len(widths) > 1 or len(head) <= _VALUE:
-        raise UserError(f"{path} is no table of trials; run the experiment again to make it")
-    sign = -1.0 if head[_VALUE] == "success-at-budget" else 1.0
-    try:
-        rows.sort(key=lambda row: sign * float(row[_VALUE]) if row[_VALUE] else math.inf)
-    except ValueError as error:
-        raise UserError(
-            f"{path} has a value that is no number: {error}; run the experiment again to make it"
-        ) from error
-    return [[words.plain(_short(text)) for text in row] for row in (head, *rows)]
 
 
 def _short(text: str) -> str:

@@ -1,4 +1,4 @@
-"""What a report says of where its runs come from, and of trials."""
+"""Provenance of runs, and trials, in a report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from iher_robot.errors import UserError
-from iher_robot.experiments.report import provenance as sources
+from iher_robot.experiments.report import provenance
 from iher_robot.experiments.report.tables import trial_rows
 
 ROW: dict[str, Any] = {
@@ -32,13 +32,13 @@ ROW: dict[str, Any] = {
     "gymnasium_robotics": "1.4.0",
     "numpy": "2.4.6",
 }
-ORIGIN = {
+METADATA = {
     "manifest": "reach",
     "processes": [{"command": ["iher-robot", "experiment", "my file.yaml", "--only", "*-seed0"]}],
 }
 
 
-def test_a_run_that_went_on_elsewhere_names_both() -> None:
+def test_a_run_resumed_on_another_machine_names_both() -> None:
     row = ROW | {
         "processes": 3,
         "commit": f"{'a' * 40}, {'b' * 40}",
@@ -47,14 +47,14 @@ def test_a_run_that_went_on_elsewhere_names_both() -> None:
         "torch": "2.12.0, 2.13.0",
     }
 
-    assert sources.run_row(row)[4:] == [
+    assert provenance.run_row(row)[4:] == [
         "aaaaaaaaaa, bbbbbbbbbb, with changes",
-        "`iher-robot train --set 'a=[1, 2]'` and 2 times on",
+        "`iher-robot train --set 'a=[1, 2]'`, resumed 2 times",
     ]
-    told = sources.facts(ORIGIN, [row])
-    assert told[1] == f"Commit: {'a' * 40}, {'b' * 40}, with changes"
-    assert "iher-robot 0.1.0, torch 2.12.0, 2.13.0, mujoco 3.11.0" in told[2]
-    assert told[3] == f"Machine: A CPU, {'B' * 60}, 2 cores, Linux; one core a run"
+    facts = provenance.facts(METADATA, [row])
+    assert facts[1] == f"Commit: {'a' * 40}, {'b' * 40}, with changes"
+    assert "iher-robot 0.1.0, torch 2.12.0, 2.13.0, mujoco 3.11.0" in facts[2]
+    assert facts[3] == f"Machine: A CPU, {'B' * 60}, 2 cores, Linux; one core a run"
 
 
 def test_runs_without_numbers_say_why() -> None:
@@ -67,23 +67,31 @@ def test_runs_without_numbers_say_why() -> None:
     }
     failed = ROW | {"state": "failed", "reason": "exit code 1"}
 
-    assert sources.run_row(damaged)[1:3] == ["damaged: no metrics \\| in line 2", ""]
-    assert sources.run_row(failed)[1] == "failed: exit code 1"
-    assert sources.state([ROW, damaged, failed, failed]).startswith(
+    assert provenance.run_row(damaged)[1:3] == ["damaged: no metrics \\| in line 2", ""]
+    assert provenance.run_row(failed)[1] == "failed: exit code 1"
+    assert provenance.state([ROW, damaged, failed, failed]).startswith(
         "**1 of 4 runs have finished**, 1 damaged, 2 failed."
     )
-    assert sources.facts(ORIGIN, [damaged])[1:4] == [
+    assert provenance.facts(METADATA, [damaged])[1:4] == [
         "Commit: -",
         "Versions: -",
         "Machine: -; one core a run",
     ]
 
 
+@pytest.mark.parametrize(("processes", "said"), [(1, ""), (2, ", resumed once")])
+def test_a_command_says_how_often_its_run_was_resumed(processes: int, said: str) -> None:
+    row = ROW | {"command": "iher-robot train", "processes": processes}
+    assert provenance.run_row(row)[5] == f"`iher-robot train`{said}"
+
+
 def test_commands_can_be_pasted() -> None:
-    assert sources.commands(ORIGIN) == ["iher-robot experiment 'my file.yaml' --only '*-seed0'"]
+    assert provenance.commands(METADATA) == [
+        "iher-robot experiment 'my file.yaml' --only '*-seed0'"
+    ]
 
 
-def test_trials_are_told_the_best_first(tmp_path: Path) -> None:
+def test_trials_are_sorted_best_first(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
     assert trial_rows(path) == []
 

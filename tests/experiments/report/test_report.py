@@ -33,7 +33,7 @@ RATES = {
 def make_cell(
     folder: ExperimentFolder, cell: Cell, rates: tuple[float, ...], **result: Any
 ) -> None:
-    """The folder of a run as it would be after so many evaluations."""
+    """Create the folder of a run after a number of evaluations."""
     run = folder.run(cell.name)
     identity = cell.identity
     make_run(run.path, task=identity.task, seed=identity.seed, budget_minutes=4.0)
@@ -80,7 +80,7 @@ def make_folder(tmp_path: Path, description: str) -> ExperimentFolder:
 
 
 def rows_of(text: str, first: str) -> list[list[str]]:
-    """Rows of the table whose head begins with a word."""
+    """Rows of the table whose header begins with a word."""
     rows: list[list[str]] = []
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -141,7 +141,7 @@ def test_a_report_is_made_again_from_its_tables_alone(
     first = report(folder.path)
     small = tmp_path / "committed"
     small.mkdir()
-    for path in (folder.origin_path, folder.evaluations_path, folder.runs_path):
+    for path in (folder.metadata_path, folder.evaluations_path, folder.runs_path):
         shutil.copy(path, small)
 
     again = report(small)
@@ -153,7 +153,7 @@ def test_a_report_is_made_again_from_its_tables_alone(
     assert content(again.html) == content(first.html)
 
 
-def test_the_page_stands_alone_and_escapes_what_it_shows(folder: ExperimentFolder) -> None:
+def test_the_page_is_self_contained_and_escapes_text(folder: ExperimentFolder) -> None:
     page = report(folder.path).html.read_text()
 
     assert "What is &lt;b&gt;it&lt;/b&gt;?" in page
@@ -164,7 +164,7 @@ def test_the_page_stands_alone_and_escapes_what_it_shows(folder: ExperimentFolde
     assert "http" not in page
 
 
-def test_a_picture_that_the_report_did_not_make_is_text(tmp_path: Path) -> None:
+def test_an_image_that_is_no_figure_of_the_report_is_text(tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("a secret")
     made = make_folder(

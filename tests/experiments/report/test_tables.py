@@ -1,4 +1,4 @@
-"""Tables of an experiment: what is in them, what stays in them, and damage."""
+"""Tables of an experiment: content, rows without runs, damage."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def content(folder: ExperimentFolder) -> tuple[str, str]:
     return folder.runs_path.read_text(), folder.evaluations_path.read_text()
 
 
-def test_a_row_of_a_run_says_how_far_it_is(folder: ExperimentFolder) -> None:
+def test_a_row_of_a_run_has_its_state(folder: ExperimentFolder) -> None:
     folder.logs_path.mkdir()
     assert states_of(folder) == ["finished", "interrupted", "not begun"]
     with LockFile(folder.lock(NAMES[1]), "held"):
@@ -58,7 +58,7 @@ def test_a_row_of_a_run_says_how_far_it_is(folder: ExperimentFolder) -> None:
 
 
 @pytest.mark.parametrize("cells", ["missing", "empty"])
-def test_rows_of_runs_that_are_gone_stay(folder: ExperimentFolder, cells: str) -> None:
+def test_rows_of_runs_without_a_folder_stay(folder: ExperimentFolder, cells: str) -> None:
     small = commit(folder)
     before = content(small)
     if cells == "empty":
@@ -67,7 +67,7 @@ def test_rows_of_runs_that_are_gone_stay(folder: ExperimentFolder, cells: str) -
     report(small.path)
 
     assert content(small) == before
-    # One more seed goes on from there.
+    # Another seed is added.
     begin(small, seeds=(0, 1, 2, 3))
     make_cell(small, "reach-iher-default-seed3", (0.5,), done=True)
     write_tables(small, small)
@@ -75,7 +75,7 @@ def test_rows_of_runs_that_are_gone_stay(folder: ExperimentFolder, cells: str) -
     assert len(read_tables(small)[0]) == 2 + 3 + 1
 
 
-def test_tables_of_runs_that_are_all_there_are_made_anew(folder: ExperimentFolder) -> None:
+def test_tables_are_rewritten_where_all_runs_have_a_folder(folder: ExperimentFolder) -> None:
     write_tables(folder, folder)
     before = content(folder)
     folder.evaluations_path.write_text("cut off")
@@ -85,7 +85,7 @@ def test_tables_of_runs_that_are_all_there_are_made_anew(folder: ExperimentFolde
     assert content(folder) == before
 
 
-def test_an_experiment_that_is_held_has_no_cells_yet(folder: ExperimentFolder) -> None:
+def test_holding_a_folder_creates_no_cells(folder: ExperimentFolder) -> None:
     small = commit(folder)
     with small.hold():
         pass
@@ -119,7 +119,7 @@ def test_a_report_elsewhere_changes_nothing_here(folder: ExperimentFolder, tmp_p
     assert report(folder.path, out=elsewhere).table == made.table
     with pytest.raises(UserError, match="is the folder of another experiment"):
         report(elsewhere, out=folder.path)
-    other = unsealed(folder.origin_path) | {"processes": [{"command": ["x"]}]}
+    other = unsealed(folder.metadata_path) | {"processes": [{"command": ["x"]}]}
     (elsewhere / "experiment.json").write_text(json.dumps(add_checksum(other)))
     with pytest.raises(UserError, match="is the folder of another experiment"):
         report(folder.path, out=elsewhere)
@@ -140,8 +140,8 @@ def test_a_damaged_run_does_not_prevent_the_report_of_the_others(folder: Experim
 
 def test_an_experiment_without_cells_has_no_report(folder: ExperimentFolder) -> None:
     begin(ExperimentFolder(folder.path.parent / "other"))
-    origin = unsealed(folder.origin_path)
-    folder.origin_path.write_text(json.dumps(add_checksum(origin | {"cells": []})))
+    metadata = unsealed(folder.metadata_path)
+    folder.metadata_path.write_text(json.dumps(add_checksum(metadata | {"cells": []})))
     with pytest.raises(UserError, match="has no runs yet"):
         report(folder.path)
 
@@ -154,7 +154,7 @@ def test_reports_at_the_same_time(folder: ExperimentFolder) -> None:
     assert len(read_tables(folder)[0]) == 5
 
 
-def test_a_report_waits_for_another_one_but_not_for_ever(folder: ExperimentFolder) -> None:
+def test_a_report_waits_for_another_one_for_a_limited_time(folder: ExperimentFolder) -> None:
     other = folder.hold_report()
     with pytest.raises(FileHeld, match="another process writes tables and report of"):
         folder.hold_report(patience_s=0.0)
@@ -163,13 +163,13 @@ def test_a_report_waits_for_another_one_but_not_for_ever(folder: ExperimentFolde
         pass
 
 
-def test_a_manifest_may_not_leave_out_what_was_run(folder: ExperimentFolder) -> None:
+def test_a_manifest_must_not_drop_cells_that_were_run(folder: ExperimentFolder) -> None:
     begin(folder, (0, 1))  # the third has not begun
     with pytest.raises(UserError) as caught:
         begin(folder, (0, 2))
-    said = f"has runs that the manifest does not have any more: {NAMES[1]}; put them back"
+    said = f"has runs of cells that are no longer in the manifest: {NAMES[1]}; put them back"
     assert said in str(caught.value)
     assert [identity.seed for identity in folder.identities()] == [0, 1]
     small = commit(folder)
-    with pytest.raises(UserError, match=r"any more: reach-iher-default-seed0, reach-iher-"):
+    with pytest.raises(UserError, match=r"in the manifest: reach-iher-default-seed0, reach-iher-"):
         begin(small, (5,))

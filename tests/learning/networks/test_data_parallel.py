@@ -16,7 +16,6 @@ from iher_robot.learning.networks.data_parallel import (
     ALONE,
     Peers,
     local_rows,
-    require_equal_shards,
 )
 from iher_robot.learning.transitions import Transitions
 from tests.learning.point_mass import PointMassGoals
@@ -102,20 +101,3 @@ def test_the_shards_of_a_batch_are_its_rows() -> None:
         assert torch.equal(share.source, share.observation + 600)
     assert block.shard(2, ALONE) is block
     assert local_rows(rows, 2, ALONE) is rows
-
-
-def test_batches_without_equal_shards_are_refused() -> None:
-    for config, named in (
-        (
-            quick(ddpg={"batch_size": 51}),
-            "learner.schedule.workers x learner.ddpg.batch_size is 51",
-        ),
-        (quick(dynamics={"batch_size": 7}), "learner.*learner.dynamics.batch_size is 7"),
-    ):
-        peers = ThreadPeers(0, [torch.empty(0)] * 2, threading.Barrier(1))
-        with pytest.raises(ValueError, match=f"{named}, which 2 processes cannot share equally"):
-            new(config, peers=peers)
-        new(config)
-    without_models = quick(dynamics={"batch_size": 7}, imagination={"enabled": False})
-    new(without_models, peers=peers)
-    require_equal_shards("a batch", 12, peers)

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.evaluate import evaluate
@@ -41,8 +41,9 @@ from iher_robot.storage.ledger import Ledger
 from iher_robot.storage.robot_time import RobotTime
 from iher_robot.training import train as train_module
 from iher_robot.training.display import TrainingDisplay
+from iher_robot.training.result import TrainResult
 from iher_robot.training.setup import open_pool, open_training_setup
-from iher_robot.training.train import TrainResult, resume
+from iher_robot.training.train import resume
 from tests.forked import run_forked
 from tests.served.served_robot import eventually, is_running
 from tests.small_runs import Interruption, interruption, metrics, motion_ticks, stored_ticks

@@ -19,7 +19,8 @@ from typing import Any
 import pytest
 import torch
 
-from iher_robot.config.run import load_config, read_config
+from iher_robot.config.options import load_config
+from iher_robot.config.run import read_config
 from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.errors import UserError
 from iher_robot.evaluation.policy_file import PolicyFile, save_policy

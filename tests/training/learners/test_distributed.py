@@ -15,7 +15,7 @@ from typing import Any, cast
 import pytest
 import torch
 
-from iher_robot.config.run import load_config
+from iher_robot.config.options import load_config
 from iher_robot.errors import UserError
 from iher_robot.storage.checkpoint import load_checkpoint
 from iher_robot.storage.provenance import read_provenance
