@@ -72,6 +72,10 @@ class _RegisteringLoader(Loader):
         self._loader = loader
         self._finder = finder
 
+    def __getattr__(self, name: str) -> object:
+        # For what looks at the package without importing it, such as `inspect` or `pkgutil`.
+        return getattr(self.__dict__["_loader"], name)
+
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)
 

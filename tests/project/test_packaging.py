@@ -152,6 +152,18 @@ def test_the_environments_are_registered_in_every_order_of_imports(imports: str)
     assert lines == ["iher_robot.env:make_env", f"{loader} {loader}", "True", "[]"]
 
 
+def test_gymnasium_can_be_looked_at_without_being_imported() -> None:
+    code = (
+        "import importlib.util, iher_robot, sys\n"
+        "spec = importlib.util.find_spec('gymnasium')\n"
+        "print(spec.loader.get_filename('gymnasium') == spec.origin, 'gymnasium' in sys.modules)\n"
+        "import gymnasium\n"
+        "print('iher_robot/Push-v0' in gymnasium.registry)"
+    )
+
+    assert run_python("-c", code, folder=ROOT).stdout.split() == ["True", "False", "True"]
+
+
 def test_an_environment_is_made_in_a_program_that_names_no_room() -> None:
     code = (
         "import iher_robot, gymnasium\n"
