@@ -24,7 +24,7 @@ import json
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager
 from datetime import datetime
@@ -35,25 +35,20 @@ from typing import Any
 import numpy as np
 import torch
 
+from bench.episodes import record, variations, with_holes
 from iher_robot.config.options import load_config
-from iher_robot.env.goal_env import GoalRobotEnv
 from iher_robot.learning.diagnostics import diagnose
 from iher_robot.learning.episode import Episode
 from iher_robot.learning.learner import Learner
 from iher_robot.learning.networks.mlp import in_blocks
 from iher_robot.learning.transitions import BLOCK
-from iher_robot.rollout.episode import run_episode
-from iher_robot.rollout.recorder import Recorder
 from iher_robot.storage.provenance import collect_provenance
 from iher_robot.training.setup import TrainingSetup, open_training_setup
-from tests.random_actor import RandomActor
 
 TRANSITIONS = 1_000_000
 SOAK_TRANSITIONS = 5_000_000
 SOAK_CAPACITY = 100_000
 SHORT_EPOCHS = 200
-RECORDED = 64
-NOISE = 1e-3
 FEW_STEPS = (
     "learner.schedule.dynamics_steps=2",
     "learner.schedule.first_epoch_dynamics_factor=1",
@@ -79,28 +74,6 @@ class Stages:
 
     def add(self, name: str) -> None:
         self.found[name] = memory()
-
-
-def record(env: GoalRobotEnv) -> list[Episode]:
-    """Episodes of random actions."""
-    actor, episodes = RandomActor(0), []
-    for index in range(RECORDED):
-        recorder = Recorder()
-        run_episode(env, actor, recorder, seed=index, ticks=env.task.episode_ticks)
-        episode = recorder.episode()
-        assert episode is not None
-        episodes.append(episode)
-    return episodes
-
-
-def variations(recorded: Sequence[Episode], count: int, seed: int) -> Iterator[Episode]:
-    """A number of different episodes, each with its own arrays as if read from a file."""
-    rng = np.random.default_rng(seed)
-    for index in range(count):
-        like = recorded[index % len(recorded)]
-        observations = like.observations + NOISE * rng.standard_normal(like.observations.shape)
-        copies = (a.copy() for a in (like.actions, like.requested_actions, like.valid))
-        yield Episode(observations, *copies, like.desired_goal.copy())
 
 
 def epoch_sizes(learner: Learner) -> list[int]:
@@ -176,13 +149,6 @@ def restored(*, streamed: bool = False) -> dict[str, Any]:
 
 def streamed() -> dict[str, Any]:
     return restored(streamed=True)
-
-
-def with_holes(episodes: Sequence[Episode], rng: np.random.Generator) -> list[Episode]:
-    """Mark a few ticks invalid, so that row counts vary."""
-    for episode in episodes:
-        episode.valid[rng.random(len(episode)) < 0.01] = False
-    return list(episodes)
 
 
 def soak() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A complete driver: a simulated gantry of three straight axes, which follows exactly."""
+"""A complete driver: a simulated gantry with three linear axes that follow exactly."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SPEC = iher_robot.RobotSpec(
 
 
 class LineRobot(iher_robot.RobotDriver):
-    """Is always where its setpoint is, and the safety filter has cut that to every limit."""
+    """A robot that is always at its setpoint, which the safety filter keeps within the limits."""
 
     def __init__(self, *, scene: str = "reach") -> None:
         if scene != "reach":
@@ -57,10 +57,10 @@ class LineRobot(iher_robot.RobotDriver):
         self._applied: iher_robot.AppliedCommand | None = None
 
     def _open(self) -> None:
-        """There is nothing to connect to."""
+        """Do nothing: there is no connection."""
 
     def _close(self) -> None:
-        """There is nothing to disconnect from."""
+        """Do nothing: there is no connection."""
 
     def _hold(self) -> None:
         self._pending = None  # the next tick brakes
@@ -84,7 +84,7 @@ class LineRobot(iher_robot.RobotDriver):
         self._fingers_vel = (self._setpoint.fingers - before.fingers) / SPEC.control_period_s
 
     def _reset(self, request: iher_robot.ResetRequest) -> iher_robot.ResetResult:
-        """There is nothing to place: the base class has refused what the spec does not declare."""
+        """Go home. The spec declares no objects, and the base class refuses unknown ones."""
         del request
         self._seq += 1
         self._time.advance_ns(SPEC.control_period_ns)

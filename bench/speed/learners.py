@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from itertools import islice
 
-from bench.memory import record, variations
+from bench.episodes import record, variations
 from bench.speed.precision import Precision
 from bench.speed.settings import Settings
 from iher_robot.config.options import load_config

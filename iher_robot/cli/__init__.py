@@ -1,1 +1,7 @@
-"""Command line: parse options, call the applications, print results."""
+"""Command line: parses options, calls the applications, prints results."""
+
+from __future__ import annotations
+
+from iher_robot.cli.app import main
+
+__all__ = ["main"]

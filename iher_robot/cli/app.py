@@ -87,10 +87,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     Raises:
         SystemExit: Always, with the exit code.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    args = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     try:
         with sigterm_as_interrupt():
-            code = app(args=words, prog_name="iher-robot", standalone_mode=False)
+            code = app(args=args, prog_name="iher-robot", standalone_mode=False)
     except typer.TyperException as error:
         _fail(f"{error.format_message()} (see iher-robot --help)", BAD_INPUT)
     except Stopped as stopped:

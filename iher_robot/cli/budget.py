@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import ConnectOption, OwnRobotOption
 from iher_robot.errors import UserError
 
@@ -34,7 +34,7 @@ def show(
     connect: ConnectOption = None,
 ) -> None:
     """Show spent and remaining robot time of a run; without a run, the total of a served robot."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.datasets.spending import spending_of_robot, spending_of_run
 
@@ -52,7 +52,7 @@ def grant(
     minutes: Annotated[float, typer.Argument(help="Robot minutes of motion.", show_default=False)],
 ) -> None:
     """Grant a run more robot minutes; train --resume continues with them."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.datasets.spending import grant as grant_minutes
 
         _print(grant_minutes(run, minutes))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.errors import UserError, unknown_name
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def ls(
     ] = None,
 ) -> None:
     """List runs and their data."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.datasets.api import ls as list_runs
         from iher_robot.datasets.tables import print_tables, runs_table
 
@@ -73,7 +73,7 @@ def show(
     ] = None,
 ) -> None:
     """Show a summary of a run's data, or one episode."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.datasets.api import show as show_run
         from iher_robot.datasets.api import show_episode
         from iher_robot.datasets.tables import episode_table, print_tables, run_table
@@ -90,7 +90,7 @@ def verify(runs: RunsArgument) -> None:
 
     Exit code 1 if something is damaged.
     """
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.datasets.api import verify as verify_runs
 
         found = verify_runs(runs)
@@ -126,7 +126,7 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing data.")] = False,
 ) -> None:
     """Export runs of one task to a Minari dataset or a Parquet file; needs the extra 'data'."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.datasets.api import export_minari, export_parquet
 
         result: MinariResult | ParquetResult

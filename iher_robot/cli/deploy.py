@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import (
     AcceptInterfaceOption,
     ConnectOption,
@@ -48,7 +48,7 @@ def deploy(
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
     """Run a policy on a robot, after checks and a confirmation; every tick is logged."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.deployment.deploy import deploy as deploy_policy
 
         result = deploy_policy(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import (
     AcceptInterfaceOption,
     ConnectOption,
@@ -34,7 +34,7 @@ def evaluate(
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
     """Measure a policy's success rate over fresh episodes."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.evaluation.evaluate import evaluate as evaluate_policy
 
         result = evaluate_policy(

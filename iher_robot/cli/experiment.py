@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 
 _FAILED = 1
 
@@ -69,7 +69,7 @@ def experiment(
 
     Exit code 1 if a cell did not finish, or there is no report.
     """
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.experiments.experiment import experiment as run_experiment
 
         result = run_experiment(
@@ -102,7 +102,7 @@ def report(
     ] = None,
 ) -> None:
     """Write tables, figures and report of an experiment; needs the extra 'report'."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.experiments.report.report import report as make_report
 
         result = make_report(folder, out=out)

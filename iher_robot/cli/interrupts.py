@@ -15,7 +15,7 @@ class Stopped(Exception):
 
 
 @contextmanager
-def told_when_interrupted(folder: Path | None) -> Iterator[None]:
+def report_interrupts(folder: Path | None) -> Iterator[None]:
     """Raise `Stopped` after an interrupt, with the command to continue a run if there is one.
 
     Args:

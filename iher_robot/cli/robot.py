@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import ConnectOption, OwnDriverOption, OwnRobotOption
 
 _FAILED = 1
@@ -23,7 +23,7 @@ def doctor(
 
     Exit code 1 if there is a problem.
     """
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.deployment.doctor import doctor as examine
 
@@ -41,7 +41,7 @@ def home(
     yes: Annotated[bool, typer.Option("--yes", help="Move without confirmation.")] = False,
 ) -> None:
     """Bring a robot home; it is left held and disarmed."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.deployment.home import home as bring_home
         from iher_robot.env.operator import Operator
@@ -60,7 +60,7 @@ def stop(
 
     This is not a safety-rated stop.
     """
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.deployment.commands import NotConfirmed
         from iher_robot.deployment.commands import stop as stop_robot
@@ -79,7 +79,7 @@ def clear_fault(
     connect: ConnectOption = None,
 ) -> None:
     """Clear the latched fault of a robot by its name. The robot stays disarmed."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.config.robot import choose_own_robot
         from iher_robot.deployment.commands import clear_fault as clear
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import ConnectOption, DriverOption, RobotOption
 from iher_robot.errors import UserError
 from iher_robot.training.learners.torchrun import read_torchrun_rank
@@ -15,8 +15,8 @@ from iher_robot.training.learners.torchrun import read_torchrun_rank
 if TYPE_CHECKING:
     from iher_robot.training.result import TrainResult
 
-_BESIDE_RESUME = {"resume", "display", "simulators", "video"}
-_BESIDE_CONFIG = {"config", "out", "display", "simulators", "video"}
+_ALLOWED_WITH_RESUME = {"resume", "display", "simulators", "video"}
+_ALLOWED_WITH_CONFIG = {"config", "out", "display", "simulators", "video"}
 
 
 def train(
@@ -98,16 +98,16 @@ def train(
         return
     folder, stopped = _folder(out, "--out"), _folder(resume, "--resume")
     if stopped is not None:
-        _refuse_settings_beside(context, "--resume", _BESIDE_RESUME)
+        _refuse_other_settings(context, "--resume", _ALLOWED_WITH_RESUME)
         result = _resume(stopped, simulators=simulators, display=display, video=video)
     elif config is not None:
-        _refuse_settings_beside(context, "--config", _BESIDE_CONFIG)
+        _refuse_other_settings(context, "--config", _ALLOWED_WITH_CONFIG)
         result = _train_config(config, folder, simulators=simulators, display=display, video=video)
     elif task is None:
         raise UserError("no task given; choose one with --task, or a stopped run with --resume")
     else:
         until = _success_threshold(until_success)
-        with told_when_interrupted(folder):
+        with report_interrupts(folder):
             from iher_robot.training.train import train as train_run
 
             result = train_run(
@@ -133,7 +133,7 @@ def train(
 
 
 def _resume(folder: Path, *, simulators: int | None, display: bool, video: bool) -> TrainResult:
-    with told_when_interrupted(folder):
+    with report_interrupts(folder):
         from iher_robot.training.train import resume
 
         return resume(folder, simulators=simulators, display=display, video=video)
@@ -142,7 +142,7 @@ def _resume(folder: Path, *, simulators: int | None, display: bool, video: bool)
 def _train_config(
     config: Path, folder: Path | None, *, simulators: int | None, display: bool, video: bool
 ) -> TrainResult:
-    with told_when_interrupted(folder):
+    with report_interrupts(folder):
         from iher_robot.config.run import change_simulators, read_config
         from iher_robot.training.train import train
 
@@ -169,13 +169,13 @@ def _folder(text: str | None, option: str) -> Path | None:
     return None if text is None else Path(text)
 
 
-_WHY_ALONE = {
-    "--resume": "continues a run exactly as it was configured",
+_REASONS = {
+    "--resume": "continues a run with its own settings",
     "--config": "gives all settings of a run",
 }
 
 
-def _refuse_settings_beside(context: typer.Context, option: str, allowed: set[str]) -> None:
+def _refuse_other_settings(context: typer.Context, option: str, allowed: set[str]) -> None:
     given = [
         other.opts[0]
         for other in context.command.params
@@ -183,7 +183,7 @@ def _refuse_settings_beside(context: typer.Context, option: str, allowed: set[st
     ]
     if given:
         raise UserError(
-            f"{option} {_WHY_ALONE[option]}: leave out {', '.join(given)}, or start a new run "
+            f"{option} {_REASONS[option]}: leave out {', '.join(given)}, or start a new run "
             f"without {option}"
         )
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from iher_robot.cli.interrupts import told_when_interrupted
+from iher_robot.cli.interrupts import report_interrupts
 from iher_robot.cli.options import AcceptInterfaceOption, DriverOption, RobotOption
 
 
@@ -32,7 +32,7 @@ def view(
     accept_interface: AcceptInterfaceOption = False,
 ) -> None:
     """Show a task in MuJoCo's viewer, in real time; needs a display."""
-    with told_when_interrupted(None):
+    with report_interrupts(None):
         from iher_robot.evaluation.view import view as view_task
 
         result = view_task(

@@ -15,6 +15,7 @@ from iher_robot.env.operator import Ask, Operator
 from iher_robot.errors import UserError
 from iher_robot.evaluation.compatibility import load_trained_policy
 from iher_robot.evaluation.evaluate import rate_with_interval
+from iher_robot.storage.robot_time import RobotTime
 
 Echo = Callable[[str], None]
 
@@ -62,7 +63,7 @@ class DeployResult:
     @property
     def robot_minutes(self) -> float:
         """Robot minutes of motion, without resets."""
-        return self.ticks * self.control_period_s / 60.0
+        return RobotTime(self.ticks, self.control_period_s).minutes
 
     def summary(self) -> str:
         """The result in a few lines."""

@@ -8,6 +8,7 @@ from drivers import RobotSpec
 from drivers.remote import LinkQuality
 from drivers.remote.state_stream import StateStream
 from drivers.remote.status import HostStatus
+from iher_robot.storage.robot_time import RobotTime
 
 
 def kind_text(spec: RobotSpec) -> str:
@@ -82,6 +83,6 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _minutes(ticks: Mapping[str, int], period_s: float) -> str:
-    minutes = {account: count * period_s / 60.0 for account, count in ticks.items()}
+    minutes = {account: RobotTime(count, period_s).minutes for account, count in ticks.items()}
     parts = ", ".join(f"{account} {spent:.2f}" for account, spent in minutes.items() if spent)
     return f"{sum(minutes.values()):.2f} minutes in total" + f": {parts}" * bool(parts)

@@ -19,6 +19,7 @@ from iher_robot.evaluation.compatibility import (
     controller_warnings,
     interface_warnings,
 )
+from iher_robot.storage.robot_time import RobotTime
 
 ACCEPT_BODY = "--accept-body"
 OK, WARNING, REFUSED = "ok", "warning", "refused"
@@ -185,9 +186,9 @@ def check_episodes(env: GoalRobotEnv, episodes: int, speed: float) -> Check:
     """List the number and length of the episodes in ticks and robot minutes."""
     period_s = env.robot_spec.control_period_s
     ticks = deployed_ticks(env.episode_ticks, speed)
-    minutes = episodes * ticks * period_s / 60.0
+    time = RobotTime(episodes * ticks, period_s)
     return Check(
         "episodes",
         f"{episodes} of {ticks} ticks of {period_s * 1e3:g} ms ({env.episode_ticks} at full "
-        f"speed): {minutes:.2f} robot minutes; the robot moves home before each",
+        f"speed): {time}; the robot moves home before each",
     )

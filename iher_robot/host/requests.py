@@ -26,6 +26,7 @@ from iher_robot.host.commands import CommandHandler
 from iher_robot.host.lease import HostLease, SilenceTimer
 from iher_robot.host.persistence import RobotTotal
 from iher_robot.host.served_robot import ServedRobot
+from iher_robot.storage.robot_time import RobotTime
 from iher_robot.version import __version__
 
 log = logging.getLogger(__name__)
@@ -204,17 +205,16 @@ class RequestHandler:
         self._slow()
         self._robot.driver.limit_speed(request.speed)
         before = self._robot.state().stamp_ns
-        period_ns = self._robot.spec.control_period_ns
-        with self._total.reserve_at_most(
-            "reset", round(_LONGEST_RESET_S * 1e9 / period_ns)
-        ) as entry:
+        period_s = self._robot.spec.control_period_s
+        longest = RobotTime.from_seconds(_LONGEST_RESET_S, period_s)
+        with self._total.reserve_at_most("reset", longest.ticks) as entry:
             try:
                 result = self._robot.reset(ResetRequest(places, request.seed))
             finally:  # a reset that failed may have moved the robot, too
                 self._commands.forget()
                 self._lease.renew()
                 after = self._robot.state()
-                entry.settle(-(-(after.stamp_ns - before) // period_ns))
+                entry.settle(RobotTime.from_ns(after.stamp_ns - before, period_s).ticks)
         self.published(after.seq)
         if result.outcome is ResetOutcome.FAILED:
             log.warning("reset of %s failed: %s", self._robot.spec.name, result.message)

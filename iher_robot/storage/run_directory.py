@@ -72,7 +72,11 @@ class RunDirectory:
         directory = cls(path)
         text = config_text.encode()
         content = text + _config_checksum(text)
-        write_atomically(directory.config_path, lambda file: file.write(content))
+        try:
+            write_atomically(directory.config_path, lambda file: file.write(content))
+        except BaseException:  # an empty file would be a run that can neither begin nor resume
+            directory.config_path.unlink(missing_ok=True)
+            raise
         return directory
 
     @classmethod

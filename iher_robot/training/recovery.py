@@ -112,8 +112,8 @@ def _check_run(
     """Check that settings and episodes are those of the checkpoint."""
     if run["config"] != dump_identity(config):
         raise UserError(
-            f"{directory.config_path} is not what the run was started with; put it back, or start "
-            "a new run with another --out"
+            f"{directory.config_path} has changed since the run began; restore it, or start a new "
+            "run with another --out"
         )
     if found != run["episodes"]:
         raise UserError(

@@ -7,12 +7,13 @@ from itertools import chain, pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.learning.fakes import marked_episode
 
 
+@settings(deadline=None)
 @given(st.lists(st.booleans(), min_size=1, max_size=12))
 def test_segments_hold_exactly_the_valid_ticks_and_span_no_other(valid: list[bool]) -> None:
     episode = replace(marked_episode(7, len(valid)), valid=np.array(valid))

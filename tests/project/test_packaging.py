@@ -223,7 +223,7 @@ def test_the_entry_points_of_the_wheel_resolve(wheel: zipfile.ZipFile) -> None:
     points = configparser.ConfigParser()
     points.read_string(wheel.read(name).decode())
 
-    assert points["console_scripts"]["iher-robot"] == "iher_robot.cli.app:main"
+    assert points["console_scripts"]["iher-robot"] == "iher_robot.cli:main"
     assert "mujoco" in points["iher_robot.drivers"]
     for section in points.sections():
         for target in points[section].values():

@@ -63,9 +63,11 @@ def test_a_folder_that_cannot_be_written_is_named(
         raise PermissionError(13, "Permission denied")
 
     # As root, no permission bits refuse.
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(UserError, match=r"cannot write .*config\.yaml: Permission denied"):
-        RunDirectory.create(tmp_path / "run", "")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", refuse)
+        with pytest.raises(UserError, match=r"cannot write .*config\.yaml: Permission denied"):
+            RunDirectory.create(tmp_path / "run", "")
+    RunDirectory.create(tmp_path / "run", "seed: 0\n").check_config()  # nothing was left in the way
 
 
 @pytest.mark.parametrize("missing", ["config.yaml", "ledger.sqlite"])

@@ -130,8 +130,8 @@ def test_a_host_that_never_answers_is_given_up() -> None:
 def test_endpoints_are_tried_in_turn() -> None:
     site = open_site()
     with FakeHost(site):
-        nobody = f"tcp/127.0.0.1:{free_port()}"
-        for endpoints in ((nobody, site.endpoint), (site.endpoint, nobody)):
+        unused = f"tcp/127.0.0.1:{free_port()}"
+        for endpoints in ((unused, site.endpoint), (site.endpoint, unused)):
             with open_session(_options(*endpoints)) as session:
                 assert [str(link.dst) for link in session.info.links()] == [site.endpoint]
 

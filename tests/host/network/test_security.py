@@ -142,8 +142,8 @@ class TestClientsOfOneHost:
 
     def test_can_declare_their_own_liveliness(self, host: FakeHost, mode: str) -> None:
         with _two_clients(host, mode) as (viewer, _):
-            token = viewer.liveliness().declare_token(key("alive", "somebody"))
-            assert eventually(lambda: any(host.session.liveliness().get(key("alive", "somebody"))))
+            token = viewer.liveliness().declare_token(key("alive", "viewer-1"))
+            assert eventually(lambda: any(host.session.liveliness().get(key("alive", "viewer-1"))))
             token.undeclare()
 
 

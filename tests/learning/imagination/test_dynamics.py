@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.config import DynamicsConfig
@@ -48,6 +48,7 @@ def trained() -> DynamicsEnsemble:
     return ensemble
 
 
+@settings(deadline=None)
 @given(st.integers(1, 300), st.floats(1, 20))
 def test_recency_weights_are_the_closed_forms(epoch: int, bias: float) -> None:
     one_plus = recency_weights(epoch, DynamicsConfig(recency_bias=bias))

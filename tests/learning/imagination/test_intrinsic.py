@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iher_robot.learning.config import IntrinsicConfig
@@ -19,6 +19,7 @@ from tests.learning.fakes import generator, linear_ensemble, marked_episode, rep
 from tests.learning.point_mass import PointMassGoals
 
 
+@settings(deadline=None)
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(0, 2**31))
 def test_disagreement_is_the_population_variance_over_members(
     members: int, batch: int, seed: int
@@ -34,6 +35,7 @@ def test_disagreement_is_the_population_variance_over_members(
     )
 
 
+@settings(deadline=None)
 @given(st.floats(0, 100), st.floats(0, 5), st.floats(0.01, 3))
 def test_the_reward_is_scaled_and_clipped(sigma: float, scale: float, clip: float) -> None:
     reward = intrinsic_reward(torch.tensor([sigma]), IntrinsicConfig(scale=scale, clip=clip))
