@@ -236,7 +236,7 @@ def test_a_robot_that_somebody_else_has_is_waited_for(
     robot.refused = [LeaseRefused("session 7 holds the lease")] * 2
     run(tmp_path / "run")
     assert len(pauses.slept_s) == 2
-    assert sum("somebody else's" in line and "session 7" in line for line in told) == 2
+    assert sum("leased by another client" in line and "session 7" in line for line in told) == 2
     assert spent(tmp_path / "run") == 100
 
 
