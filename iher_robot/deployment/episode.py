@@ -6,6 +6,9 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers import DriverError
 from iher_robot.deployment.log import DeploymentLog, EpisodeRecord
 from iher_robot.deployment.robot_checks import require_home
@@ -59,11 +62,31 @@ class DeploymentRecorder(DurableRecorder):
         super().start(start)
 
 
+class TimedActor(PolicyActor):
+    """Acts with a policy, and measures how long it takes.
+
+    Attributes:
+        begun: Time at which the last action was asked for. s
+        done: Time at which it was chosen. s
+    """
+
+    begun = done = 0.0
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Choose the action of the next tick, in [-1, 1]. ``(action_dim,)``"""
+        self.begun = time.perf_counter()
+        action = super().act(observation)
+        self.done = time.perf_counter()
+        return action
+
+
 class TickLogger(EpisodeObserver):
     """Writes a log line for each tick, including one that an error ended.
 
     Args:
         env: The robot.
+        actor: Chooses the actions.
+        recorder: Charges the ticks, before this logs them.
         log: The log.
         record: Record of the episode.
 
@@ -71,39 +94,39 @@ class TickLogger(EpisodeObserver):
         lost: The driver error that ended the episode; None without one.
     """
 
-    def __init__(self, env: GoalRobotEnv, log: DeploymentLog, record: EpisodeRecord) -> None:
+    def __init__(
+        self,
+        env: GoalRobotEnv,
+        actor: TimedActor,
+        recorder: DeploymentRecorder,
+        log: DeploymentLog,
+        record: EpisodeRecord,
+    ) -> None:
         self._env = env
+        self._actor = actor
+        self._recorder = recorder
         self._log = log
         self._record = record
-        self._tick = 0
         self._line: dict[str, Any] | None = None
-        self._tick_start = self._action_time = 0.0
         self.lost: DriverError | None = None
-
-    def start(self, start: EpisodeStart) -> None:  # noqa: ARG002
-        """Start the clock of the first action."""
-        self._tick_start = time.perf_counter()
 
     def before_tick(self, observation: Observation, action: Action) -> None:
         """Begin the line of a tick."""
-        self._action_time = time.perf_counter()
-        self._tick += 1
         self._line = {
             "episode": self._record.episode,
-            "tick": self._tick,
+            "tick": self._recorder.ticks,
             "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "requested": action,
             "observation": observation["observation"],
             "desired_goal": observation["desired_goal"],
-            "policy_ms": 1e3 * (self._action_time - self._tick_start),
+            "policy_ms": 1e3 * (self._actor.done - self._actor.begun),
             **_NO_OUTCOME,
         }
 
     def after_tick(self, transition: Transition) -> None:
         """Write the line of a tick with its outcome."""
-        step_ms = 1e3 * (time.perf_counter() - self._action_time)
+        step_ms = 1e3 * (time.perf_counter() - self._actor.done)
         self._write({"step_ms": step_ms} | self._outcome(transition))
-        self._tick_start = time.perf_counter()
 
     def abort(self, error: EpisodeAborted) -> None:
         """Write the line of the tick that failed."""
@@ -168,17 +191,11 @@ def run_deployed_episode(
         DriverError: The robot was lost.
     """
     record = log.begin_episode(seed)
-    logger = TickLogger(env, log, record)
+    actor = TimedActor(trained.policy)
+    logger = TickLogger(env, actor, recorder, log, record)
     with recorder:
         try:
-            run_episode(
-                env,
-                PolicyActor(trained.policy),
-                recorder,
-                seed=seed,
-                ticks=ticks,
-                observers=[logger],
-            )
+            run_episode(env, actor, recorder, seed=seed, ticks=ticks, observers=[logger])
             record.ended = recorder.aborted or DONE
             record.success = record.task_success = recorder.success
         except BaseException as error:

@@ -57,7 +57,8 @@ class _GymnasiumFinder(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname != _GYMNASIUM:
             return None
-        for finder in sys.meta_path[sys.meta_path.index(self) + 1 :]:
+        behind = sys.meta_path.index(self) + 1 if self in sys.meta_path else 0
+        for finder in sys.meta_path[behind:]:
             spec = finder.find_spec(fullname, path, target)
             if spec is not None and spec.loader is not None:
                 spec.loader = _RegisteringLoader(spec.loader, self)
@@ -74,7 +75,9 @@ class _RegisteringLoader(Loader):
 
     def __getattr__(self, name: str) -> object:
         # For what looks at the package without importing it, such as `inspect` or `pkgutil`.
-        return getattr(self.__dict__["_loader"], name)
+        if name == "_loader":  # of a copy that is not yet filled
+            raise AttributeError(name)
+        return getattr(self._loader, name)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         return self._loader.create_module(spec)
@@ -84,5 +87,6 @@ class _RegisteringLoader(Loader):
         assert module.__spec__ is not None
         module.__loader__ = module.__spec__.loader = self._loader
         self._loader.exec_module(module)
-        sys.meta_path.remove(self._finder)
+        if self._finder in sys.meta_path:
+            sys.meta_path.remove(self._finder)
         register_envs()

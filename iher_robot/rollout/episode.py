@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import IntEnum
+from functools import partial
+from types import TracebackType
 
 import numpy as np
 
@@ -89,11 +91,20 @@ def run_episode(
             observer.abort(error)
     finally:
         failure = sys.exception()
-        try:
+        with ExitStack() as ends:  # each gets its end, whatever another one's raises
+            for observer in reversed(watching):
+                ends.push(partial(_end, observer, failure))
             env.hold(after=failure)
-        finally:
-            for observer in watching:
-                observer.end(failure)
+
+
+def _end(
+    observer: EpisodeObserver,
+    failure: BaseException | None,
+    _kind: type[BaseException] | None,
+    error: BaseException | None,
+    _trace: TracebackType | None,
+) -> None:
+    observer.end(failure or error)
 
 
 @contextmanager

@@ -98,7 +98,9 @@ class EpisodeObserver:
         """Called when the episode cannot go on, but the run can."""
 
     def end(self, error: BaseException | None) -> None:
-        """Called once, however the episode ends; the robot is held and disarmed.
+        """Called once, however the episode ends, also where it never started.
+
+        The robot is held and disarmed, unless that is the error.
 
         Args:
             error: The error that ends the episode and its caller; None after an abort.

@@ -25,6 +25,7 @@ class EpisodeOutcome(EpisodeObserver):
         self.success = False
         self.aborted = ""
         self.policy_source = REAL
+        self._in_tick = False
 
     def start(self, start: EpisodeStart) -> None:
         """Note what the policy is conditioned on."""
@@ -33,17 +34,23 @@ class EpisodeOutcome(EpisodeObserver):
     def before_tick(self, observation: Observation, action: Action) -> None:  # noqa: ARG002
         """Charge the tick before it begins."""
         self._charge(1)
+        self._in_tick = True
 
     def after_tick(self, transition: Transition) -> None:
         """Charge ticks that passed unseen as well."""
-        self._charge(transition.info.get("ticks", 1) - 1)
+        self._end_tick(transition.info.get("ticks", 1))
         self.success = transition.success
 
     def abort(self, error: EpisodeAborted) -> None:
-        """Charge the tick that failed; the episode counts as a failure."""
-        self._charge(error.ticks - 1)
+        """Charge the tick that failed, if one had begun; the episode counts as a failure."""
+        if self._in_tick:
+            self._end_tick(error.ticks)
         self.success = False
         self.aborted = str(error)
+
+    def _end_tick(self, elapsed: int) -> None:
+        self._in_tick = False
+        self._charge(elapsed - 1)
 
     def _charge(self, ticks: int) -> None:
         self.ticks += ticks
@@ -65,7 +72,7 @@ class Recorder(EpisodeOutcome):
     def after_tick(self, transition: Transition) -> None:
         """Charge and record a tick."""
         tick = transition.tick
-        self._charge(tick.elapsed - 1)
+        self._end_tick(tick.elapsed)
         # One call: an interrupt finds the whole tick in the record, or nothing of it.
         self._record(
             RecordedTick(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
@@ -19,6 +20,10 @@ class TensorBoard(RunListener, Closing):
 
     def __init__(self, folder: Path) -> None:
         self._writer = SummaryWriter(str(folder))
+
+    def resume(self, rows: Sequence[Row]) -> None:
+        """Write the last epoch again, which a crash after its checkpoint may have left out."""
+        self.epoch(rows[-1])
 
     def epoch(self, row: Row) -> None:
         """Write the metrics of an epoch."""

@@ -320,6 +320,19 @@ def test_the_log_has_a_line_for_each_tick_with_what_the_robot_reported(
     assert result.robot_minutes == pytest.approx(100 * PERIOD_S / 60)
 
 
+def test_lines_are_numbered_by_the_ticks_charged_though_some_passed_unseen(
+    policy: Path, robot: Robot
+) -> None:
+    def lose_ticks(tick: int) -> None:
+        robot.lost_ticks = 2 if tick == 3 else 0
+
+    robot.before_tick = lose_ticks
+    result = run(policy, episodes=1)
+    assert [line["tick"] for line in ticks()] == [1, 2, 3, *range(6, TICKS + 1)]
+    assert [line["ticks"] for line in ticks()][:4] == [1, 1, 3, 1]
+    assert result.ticks == TICKS
+
+
 def test_each_line_is_in_the_file_before_the_next_tick(policy: Path, robot: Robot) -> None:
     found: list[int] = []
     robot.before_tick = lambda tick: found.append(len(ticks()))
