@@ -35,10 +35,11 @@ install: .venv/runtime
 
 # One thread a worker: two workers whose torch also takes both cores slow each other down. Tests of
 # robots in real time mostly wait, and run apart from those that take all of a core, three at a time;
-# a file of them shares its host. 5 says that ARGS selects none of a part.
+# a file of them shares its host, and the longest files come first in the order of folders. 5 says that
+# ARGS selects none of a part.
 test: .venv/dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not real_time" $(ARGS) || [ $$? -eq 5 ]
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile -m real_time $(ARGS) || [ $$? -eq 5 ]
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m "not real_time" $(ARGS) || [ $$? -eq 5 ]
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m real_time $(ARGS) || [ $$? -eq 5 ]
 
 test-full: export IHER_ROBOT_SEQUENCES := 10000
 test-full: test
