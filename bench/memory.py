@@ -92,9 +92,9 @@ def training_setup(preset: str, *overrides: str) -> AbstractContextManager[Train
 def full() -> dict[str, Any]:
     """Fill both replays as a run does."""
     stages = Stages()
-    with training_setup("paper", *FEW_STEPS) as cell:
-        learner = cell.learner
-        recorded = record(cell.env)
+    with training_setup("paper", *FEW_STEPS) as setup:
+        learner = setup.learner
+        recorded = record(setup.env)
         stages.add("robot, simulator and learner")
         for epoch, count in enumerate(epoch_sizes(learner)):
             learner.add_real(list(variations(recorded, count, epoch)))
@@ -126,9 +126,9 @@ def state_of_full(learner: Learner, recorded: Sequence[Episode]) -> dict[str, An
 def restored(*, streamed: bool = False) -> dict[str, Any]:
     """Resume a run, and run its first epoch, which refills the imaginary source."""
     stages = Stages()
-    with training_setup("paper", *FEW_STEPS) as cell:
-        learner = cell.learner
-        recorded = record(cell.env)
+    with training_setup("paper", *FEW_STEPS) as setup:
+        learner = setup.learner
+        recorded = record(setup.env)
         state = state_of_full(learner, recorded)
         stages.add("robot, simulator, learner and one epoch")
         sizes = enumerate(epoch_sizes(learner))
@@ -159,9 +159,9 @@ def soak() -> dict[str, Any]:
         "learner.schedule.cycles=25",
         "learner.schedule.policy_copy_cycles=25",
     )
-    with training_setup("paper", *overrides) as cell:
-        learner = cell.learner
-        recorded = record(cell.env)
+    with training_setup("paper", *overrides) as setup:
+        learner = setup.learner
+        recorded = record(setup.env)
         unseen = list(variations(recorded, 20, 0))
         rng = np.random.default_rng(0)
         learner.add_real(list(variations(recorded, SOAK_CAPACITY // 50, 1)))
@@ -187,9 +187,9 @@ def short() -> dict[str, Any]:
     The replay is far from full: the episodes themselves add about 40 kB per epoch.
     """
     overrides = ("learner.schedule.updates_per_step=0.2", "learner.contact.updates_per_step=0.2")
-    with training_setup("default", *overrides) as cell:
-        learner = cell.learner
-        recorded = record(cell.env)
+    with training_setup("default", *overrides) as setup:
+        learner = setup.learner
+        recorded = record(setup.env)
         rng = np.random.default_rng(0)
         points = []
         for epoch in range(1, SHORT_EPOCHS + 1):
@@ -203,8 +203,8 @@ def short() -> dict[str, Any]:
 def rows() -> dict[str, Any]:
     """Memory of what is compiled and cached per row count."""
     stages = Stages()
-    with training_setup("paper") as cell, torch.no_grad():
-        model = cell.learner.ensemble.members[0]
+    with training_setup("paper") as setup, torch.no_grad():
+        model = setup.learner.ensemble.members[0]
         inputs = torch.randn(4_000, model[0].in_features)
         counts = np.random.default_rng(0).permutation(len(inputs))[:300]
         model(inputs)
