@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,11 +132,12 @@ class RunListeners(RunListener):
         """Forward the metrics."""
         self._each(lambda listener: listener.epoch(row))
 
-    def question(self) -> AbstractContextManager[object]:
+    @contextmanager
+    def question(self) -> Iterator[None]:
         """Return a context in which every listener leaves the terminal alone."""
-        stack = ExitStack()
-        self._each(lambda listener: stack.enter_context(listener.question()))
-        return stack
+        with ExitStack() as stack:
+            self._each(lambda listener: stack.enter_context(listener.question()))
+            yield
 
     def _each(self, call: Callable[[RunListener], object]) -> None:
         for listener in self._listeners:
